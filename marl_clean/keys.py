@@ -1,0 +1,30 @@
+"""Every TensorDict key, written once, in TorchRL's multi-agent grammar.
+
+`*B` is the batch of environments, `n` the number of robots, `K` the side of the view.
+The nested TensorDict `agents` has batch `[*B, n]`; termination stands at the root.
+"""
+
+AGENTS = "agents"
+
+OBSERVATION = (AGENTS, "observation")  # *B n ch K K float32
+POSITION = (AGENTS, "position")  # *B n 2 int64, (row, col) in the house
+ADJACENCY = (AGENTS, "adjacency")  # *B n n bool, symmetric, false on the diagonal
+DISTANCE_RANK = (AGENTS, "distance_rank")  # *B n n int64, 0 itself, 1 the nearest, ...
+
+ACTION = (AGENTS, "action")  # *B n int64: 0 up, 1 right, 2 down, 3 left
+ACTION_VALUE = (AGENTS, "action_value")  # *B n 4 float32
+CHOSEN_ACTION_VALUE = (AGENTS, "chosen_action_value")  # *B n 1 float32
+MESSAGE = (AGENTS, "message")  # *B n M float32: what each robot sent
+MESSAGE_BITS = (AGENTS, "message_bits")  # *B n 1 float32: what sending it cost
+
+REWARD = (AGENTS, "reward")  # *B n 1 float32: what the robot is paid
+OWN_REWARD = (AGENTS, "own_reward")  # *B n 1 float32: what it earned itself
+INFO_STEP = (AGENTS, "info", "step")  # *B n 1 float32, the three terms of own_reward
+INFO_CLEANING = (AGENTS, "info", "cleaning")
+INFO_DISCOVERY = (AGENTS, "info", "discovery")
+EPISODE_REWARD = (AGENTS, "episode_reward")  # *B n 1 float32: sum of reward so far
+
+DONE = "done"  # *B 1 bool
+TERMINATED = "terminated"
+TRUNCATED = "truncated"
+STEPS_TO_NEXT_OBS = "steps_to_next_obs"  # *B int64: length of the n-step window
