@@ -1,0 +1,153 @@
+"""Who moves where, and what a step does to the map (paper §3.2).
+
+`advance` is pure: it reads the state and says what happens, `commit_` writes it. The two are
+apart because a compiled function that writes into a map copies the whole map each step.
+"""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from marl_clean.settings import Sensor
+from marl_clean.world.rewards import reward_terms
+from marl_clean.world.rules import Rules
+from marl_clean.world.shared_map import write_records_
+from marl_clean.world.state import State, cell_index
+
+# Change of (row, col) by action: 0 up, 1 right, 2 down, 3 left.
+MOVES = ((-1, 0), (0, 1), (1, 0), (0, -1))
+
+
+class Outcome(NamedTuple):
+    """What one step brings, before anything is written."""
+
+    position: Int[Tensor, "env agent 2"]
+    moved: Bool[Tensor, "env agent"]
+    bumped: Bool[Tensor, "env agent"]
+    collided: Bool[Tensor, "env agent"]
+    newly_cleaned: Bool[Tensor, "env agent"]
+    step_term: Float[Tensor, "env agent"]
+    cleaning_term: Float[Tensor, "env agent"]
+    discovery_term: Float[Tensor, "env agent"]
+    step: Int[Tensor, " env"]
+    last_progress: Int[Tensor, " env"]
+    num_visited: Int[Tensor, " env"]
+    visited_index: Int[Tensor, "env agent"]  # flat over State.visited
+    record_index: Int[Tensor, "env entry"]  # flat over State.record
+    record_value: Float[Tensor, "env entry"]
+
+
+def moves_on(device: torch.device) -> Int[Tensor, "4 2"]:
+    """Return MOVES as a tensor."""
+    return torch.tensor(MOVES, device=device)
+
+
+def advance(
+    state: State, action: Int[Tensor, "env agent"], moves: Int[Tensor, "4 2"], rules: Rules
+) -> Outcome:
+    """Move all robots at once and value what they do against the map before the step.
+
+    A robot moves when its target is free, nobody stood there when the step began, and no
+    lower-numbered robot enters it in this step. Of several robots with one free, empty target
+    the lowest-numbered always gets it, so the last condition is: no lower number has this target.
+    """
+    num_envs, n_agents = action.shape
+    height, width = state.blocked.shape[1:]
+    target = state.position + moves[action]
+    own_cell = cell_index(state.position, rules.margin, width)
+    target_cell = cell_index(target, rules.margin, width)
+
+    bumped = state.blocked.flatten(1).gather(1, target_cell)
+    taken = (target_cell[:, :, None] == own_cell[:, None, :]).any(-1)
+    same_target = target_cell[:, :, None] == target_cell[:, None, :]
+    lower = torch.ones((n_agents, n_agents), dtype=torch.bool, device=action.device).tril(-1)
+    collided = ~bumped & (taken | (same_target & lower).any(-1))
+    moved = ~bumped & ~collided
+    position = torch.where(moved[..., None], target, state.position)
+    cell = torch.where(moved, target_cell, own_cell)
+
+    now = (state.step + 1).to(state.record.dtype)[:, None]
+    held = held_records(state, target_cell)
+    step_term, cleaning_term, discovery_term = reward_terms(held, now, moved, bumped, rules)
+
+    step = state.step + 1
+    newly_cleaned = ~state.visited.flatten(1).gather(1, cell)
+    progress = newly_cleaned.any(-1)
+    written = (step + 1).to(state.record.dtype)[:, None].expand(num_envs, n_agents)
+    bump_or_own = torch.where(bumped, target_cell, cell)
+    base = map_base(state)
+    envs = torch.arange(num_envs, device=action.device)[:, None]
+    return Outcome(
+        position=position,
+        moved=moved,
+        bumped=bumped,
+        collided=collided,
+        newly_cleaned=newly_cleaned,
+        step_term=step_term,
+        cleaning_term=cleaning_term,
+        discovery_term=discovery_term,
+        step=step,
+        last_progress=torch.where(progress, step, state.last_progress),
+        num_visited=state.num_visited + newly_cleaned.sum(-1),
+        visited_index=envs * (height * width) + cell,
+        record_index=torch.cat([base + cell, base + bump_or_own], -1),
+        record_value=torch.cat([written, torch.where(bumped, -written, written)], -1),
+    )
+
+
+def held_records(
+    state: State, cell: Int[Tensor, "env agent"]
+) -> Float[Tensor, "env agent"]:
+    """Return what the map that each robot reads holds of one cell a robot."""
+    record = state.record.flatten(2).expand(-1, state.n_agents, -1)
+    return record.gather(2, cell[..., None])[..., 0]
+
+
+def map_base(state: State) -> Int[Tensor, "env map_or_1"]:
+    """Return where each robot's map starts in the flattened records, [env, agent] or [env, 1]."""
+    num_envs, num_maps, height, width = state.record.shape
+    maps = torch.arange(num_envs * num_maps, device=state.record.device)
+    return maps.view(num_envs, num_maps) * (height * width)
+
+
+def commit_(state: State, outcome: Outcome, rules: Rules) -> None:
+    """Write an outcome into the state, in place."""
+    for name in ("position", "moved", "bumped", "collided", "newly_cleaned"):
+        setattr(state, name, getattr(outcome, name))
+    for name in ("step", "last_progress", "num_visited"):
+        setattr(state, name, getattr(outcome, name))
+    state.visited.view(-1).scatter_(0, outcome.visited_index.reshape(-1), True)
+    if rules.sensor is Sensor.TOUCH4:
+        touch_(state, rules)
+    write_records_(state.record, outcome.record_index, outcome.record_value)
+
+
+def touch_(state: State, rules: Rules) -> None:
+    """Write the four neighbours of every robot into its map (`sensor=touch4`).
+
+    Walls are written as bumps write them; free cells not yet known to be available become
+    available and dirty; known available ones are left as they are.
+    """
+    num_envs, n_agents = state.position.shape[:2]
+    around = state.position[:, :, None] + moves_on(state.position.device)
+    cell = cell_index(around, rules.margin, state.blocked.shape[2]).flatten(1)
+    record = state.record.flatten(2).expand(-1, n_agents, -1)
+    held = record.gather(2, cell.view(num_envs, n_agents, 4)).flatten(1)
+    blocked = state.blocked.flatten(1).gather(1, cell)
+    now = (state.step + 1).to(held.dtype)[:, None]
+    learnt = torch.where(blocked, -now, torch.where(held > 0, held, now - 0.5))
+    base = map_base(state).expand(num_envs, n_agents).repeat_interleave(4, -1)
+    write_records_(state.record, base + cell, learnt)
+
+
+def episode_ends(
+    state: State, stuck_after: int | None
+) -> tuple[Bool[Tensor, " env"], Bool[Tensor, " env"]]:
+    """Return (terminated, truncated): all clean; or out of steps or stuck (paper §3.4)."""
+    terminated = state.num_visited >= state.num_free
+    truncated = state.step >= state.max_steps
+    if stuck_after is not None:
+        truncated = truncated | (state.step - state.last_progress >= stuck_after)
+    return terminated, truncated & ~terminated

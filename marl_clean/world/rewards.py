@@ -1,0 +1,68 @@
+"""The three terms of the reward, one function each (paper §3.3).
+
+    step       -1                   every action
+    cleaning    2 - 2 v             the robot enters a cell that counts as uncleaned
+    discovery  +2                   what is learnt differs from what the map held
+
+A robot's own reward is their sum. `held` is the record of the target cell in the map the robot
+reads, before the step; everything that several robots do at once is valued against it.
+"""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from marl_clean.settings import Cases, ObstaclePay
+from marl_clean.world.rules import Rules
+from marl_clean.world.shared_map import is_known_dirty, map_value
+
+Term = Float[Tensor, "env agent"]
+Flag = Bool[Tensor, "env agent"]
+
+
+def step_term(moved: Flag) -> Term:
+    """Cost of an action: -1, whatever it does."""
+    return torch.full_like(moved, -1.0, dtype=torch.float32)
+
+
+def cleaning_term(
+    held: Float[Tensor, "env agent"], now: Float[Tensor, "env 1"], moved: Flag, rules: Rules
+) -> Term:
+    """Pay 2 - 2 v for entering a cell that counts as uncleaned, v its value in the map.
+
+    Uncleaned is what is unknown, wrongly held blocked, dirty, or old enough for
+    `uncleaned_at_most`.
+    """
+    known_free = held > 0
+    old_enough = is_known_dirty(held, now, rules) | (now - held >= rules.uncleaned_after)
+    uncleaned = ~known_free | old_enough
+    value = torch.where(known_free, map_value(held, now, rules), rules.unknown_pays_as)
+    return torch.where(moved & uncleaned, 2 - 2 * value, 0.0)
+
+
+def discovery_term(
+    held: Float[Tensor, "env agent"], moved: Flag, bumped: Flag, rules: Rules
+) -> Term:
+    """Pay 2 when entering what was not held available, or bumping what was not held blocked."""
+    wall_is_news = held >= 0 if rules.obstacles is ObstaclePay.FIRST else torch.ones_like(bumped)
+    return 2.0 * ((moved & (held <= 0)) | (bumped & wall_is_news))
+
+
+def reward_terms(
+    held: Float[Tensor, "env agent"],
+    now: Float[Tensor, "env 1"],
+    moved: Flag,
+    bumped: Flag,
+    rules: Rules,
+) -> tuple[Term, Term, Term]:
+    """Return the step, cleaning and discovery terms of one step.
+
+    Under `cases=exclude` only the last of the three that applies is left.
+    """
+    step = step_term(moved)
+    cleaning = cleaning_term(held, now, moved, rules)
+    discovery = discovery_term(held, moved, bumped, rules)
+    if rules.cases is Cases.EXCLUDE:
+        cleaning = torch.where(discovery != 0, 0.0, cleaning)
+        step = torch.where((discovery != 0) | (cleaning != 0), 0.0, step)
+    return step, cleaning, discovery

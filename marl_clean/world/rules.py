@@ -1,0 +1,78 @@
+"""The readings of the paper that are fixed for one environment."""
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+from marl_clean.errors import BadInput
+from marl_clean.settings import Cases, Decay, Knowledge, Memory, ObstaclePay, Sensor
+
+UNKNOWN_VALUE = -0.2
+BLOCKED_VALUE = -1.0
+ROBOT_VALUE = 1.0
+CLEANED_VALUE = 0.5
+DIRTY_VALUE = 0.0
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Every open point of the paper with the reading taken (paper §3.2 and §3.3).
+
+    Attributes:
+        memory: whose map a robot reads and writes.
+        knowledge: what the map holds at step 0.
+        sensor: how walls become known.
+        decay_steps: C, the steps after which a cell counts as dirty again.
+        decay: whether a cleaned cell falls by 1/C or by 0.5/C a step.
+        uncleaned_at_most: cells with a value up to this count as uncleaned, in [0, 0.5).
+        unknown_pays_as: v of an unknown (or wrongly blocked) cell in 2 - 2 v, -0.2 or 0.
+        cases: whether the terms add up or only the last that applies counts.
+        obstacles: whether a bump pays the first time or every time.
+        stuck_after: steps without a newly cleaned cell that end an episode; None: never.
+        margin: cells around the house in every stored matrix, at least the ring's 1.
+
+    Raises:
+        BadInput: a value outside its range.
+    """
+
+    memory: Memory = Memory.SHARED
+    knowledge: Knowledge = Knowledge.UNKNOWN
+    sensor: Sensor = Sensor.BUMP
+    decay_steps: int = 200
+    decay: Decay = Decay.FORMULA
+    uncleaned_at_most: float = 0.0
+    unknown_pays_as: float = UNKNOWN_VALUE
+    cases: Cases = Cases.ADD
+    obstacles: ObstaclePay = ObstaclePay.FIRST
+    stuck_after: int | None = 100
+    margin: int = 7
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.uncleaned_at_most < CLEANED_VALUE:
+            raise BadInput(f"uncleaned_at_most={self.uncleaned_at_most}: must be in [0, 0.5)")
+        if self.unknown_pays_as not in (UNKNOWN_VALUE, 0.0):
+            raise BadInput(f"unknown_pays_as={self.unknown_pays_as}: must be -0.2 or 0")
+        if self.decay_steps < 1:
+            raise BadInput(f"decay_steps={self.decay_steps}: must be at least 1")
+        if self.margin < 1:
+            raise BadInput(f"margin={self.margin}: must be at least 1, the ring around the house")
+
+    @property
+    def decay_a_step(self) -> Fraction:
+        """How much a cleaned cell's value falls a step."""
+        full = Fraction(1) if self.decay is Decay.FORMULA else Fraction(1, 2)
+        return full / self.decay_steps
+
+    @property
+    def dirty_after(self) -> int:
+        """The age in steps from which a cell is dirty: ceil(0.5 / decay)."""
+        return math.ceil(Fraction(1, 2) / self.decay_a_step)
+
+    @property
+    def uncleaned_after(self) -> int:
+        """The age in steps from which entering a cell pays as cleaning.
+
+        The smallest age whose value is at most `uncleaned_at_most`, decided on fractions.
+        """
+        threshold = Fraction(str(self.uncleaned_at_most))
+        return math.ceil((Fraction(1, 2) - threshold) / self.decay_a_step)

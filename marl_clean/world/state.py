@@ -1,0 +1,62 @@
+"""What one batch of cleaning worlds consists of."""
+
+from dataclasses import dataclass, fields
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+
+@dataclass
+class State:
+    """All of a batch of worlds, as tensors; the only thing that changes during an episode.
+
+    Matrices have `margin` cells around the house on every side (the first of them is the ring
+    of walls), so that no view ever leaves them: house cell (row, col) lies at
+    [row + margin, col + margin]. All integers are int64.
+    """
+
+    blocked: Bool[Tensor, "env height width"]  # the truth, everything outside the house too
+    piece: Int[Tensor, "env height width"]  # int16: which piece of furniture blocks, 0 none
+    house: Int[Tensor, " env"]  # index into the houses
+    rows: Int[Tensor, " env"]
+    cols: Int[Tensor, " env"]
+    num_free: Int[Tensor, " env"]
+    max_steps: Int[Tensor, " env"]
+    furniture_moves: Int[Tensor, "env move 3"]  # (step, piece, direction), due during the episode
+
+    episode: Int[Tensor, " env"]
+    step: Int[Tensor, " env"]
+    last_progress: Int[Tensor, " env"]  # step of the last first-time cleaning
+    position: Int[Tensor, "env agent 2"]  # (row, col) in the house
+    record: Float[Tensor, "env map height width"]  # the robots' memory, see shared_map
+    visited: Bool[Tensor, "env height width"]  # free now and cleaned since it became free
+    num_visited: Int[Tensor, " env"]
+
+    moved: Bool[Tensor, "env agent"]  # what the last step brought
+    bumped: Bool[Tensor, "env agent"]
+    collided: Bool[Tensor, "env agent"]
+    newly_cleaned: Bool[Tensor, "env agent"]
+
+    @property
+    def n_agents(self) -> int:
+        return self.position.shape[1]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return every field by name; the tensors themselves, not copies."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def write_rows_(self, rows: Int[Tensor, " row"], other: "State") -> None:
+        """Overwrite the worlds `rows` by the worlds of `other`, in place."""
+        for name, tensor in self.tensors().items():
+            tensor[rows] = getattr(other, name)
+
+
+def cell_index(position: Tensor, margin: int, width: int) -> Tensor:
+    """Flatten (row, col) places in the house to indices into a matrix [height * width]."""
+    return (position[..., 0] + margin) * width + position[..., 1] + margin
+
+
+def pad_house(matrix: Tensor, margin: int, value: bool | int) -> Tensor:
+    """Put `margin` cells of `value` around matrices [..., row, col]."""
+    return torch.nn.functional.pad(matrix, (margin,) * 4, value=value)
