@@ -1,0 +1,96 @@
+"""The intervals are those of a plain loop, and know of runs as well as of houses."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from marl_clean.errors import BadInput
+from marl_clean.evaluation import statistics
+from marl_clean.evaluation.statistics import (
+    as_sample,
+    bootstrap_means,
+    estimate,
+    iqm,
+    paired_difference,
+)
+
+
+def plain_bootstrap(values, rng, draws):
+    """The two-level bootstrap as one would say it aloud, drawing in the same order."""
+    runs, houses = len(values), len(values[0])
+    chosen_runs = [[rng.integers(runs) for _ in range(runs)] for _ in range(draws)]
+    means = [[] for _ in range(draws)]
+    for place in range(runs):
+        for draw in range(draws):
+            run = values[chosen_runs[draw][place]]
+            picked = [run[rng.integers(houses)] for _ in range(houses)]
+            known = [value for value in picked if not np.isnan(value)]
+            if known:
+                means[draw].append(sum(known) / len(known))
+    return [sum(row) / len(row) if row else np.nan for row in means]
+
+
+@pytest.mark.parametrize("runs", [1, 3])
+@pytest.mark.parametrize("missing", [0.0, 0.5])
+def test_bootstrap_equals_the_plain_loop(runs, missing, monkeypatch):
+    monkeypatch.setattr(statistics, "_BLOCK", 35)  # several blocks, the last one ragged
+    rng = np.random.default_rng(1)
+    values = rng.normal(size=(runs, 7))
+    values[rng.random(values.shape) < missing] = np.nan
+    fast = bootstrap_means(values, np.random.default_rng(5), 52)
+    slow = plain_bootstrap(values.tolist(), np.random.default_rng(5), 52)
+    np.testing.assert_allclose(fast, slow, rtol=1e-12)
+
+
+def test_interval_of_one_run_is_the_normal_one_of_the_mean():
+    values = np.random.default_rng(2).normal(10.0, 3.0, size=(1, 400))
+    found = estimate(values)
+    half = norm.ppf(0.975) * values.std() / 20
+    assert found.mean == pytest.approx(values.mean())
+    assert found.ci95 == pytest.approx((values.mean() - half, values.mean() + half), abs=0.03)
+
+
+def test_runs_that_differ_widen_the_interval_though_their_houses_agree():
+    values = np.repeat([[1.0], [2.0], [6.0]], 50, axis=1)
+    assert estimate(values).ci95 == (1.0, 6.0)  # all three draws may be the same run
+    assert estimate(values.reshape(1, -1)).ci95[1] < 4.0  # houses alone do not know that
+
+
+def test_houses_are_drawn_anew_within_each_run():
+    values = np.tile([[0.0, 1.0]], (4, 1))
+    means = bootstrap_means(values, np.random.default_rng(0), 2_000)
+    # Drawn once for all runs only 0, 1/2 and 1 could appear.
+    assert len(np.unique(means)) == 9
+
+
+def test_the_same_values_give_the_same_interval():
+    values = np.random.default_rng(3).normal(size=(3, 20))
+    assert estimate(values) == estimate(values)
+
+
+def test_no_value_has_no_estimate():
+    nothing = as_sample([[None, None]])
+    assert estimate(nothing) == statistics.Estimate(None, None)
+    assert iqm(nothing) is None
+
+
+def test_iqm_is_the_mean_of_the_middle_half():
+    assert iqm(np.array([[0.0, 1.0, 2.0, 100.0], [1.0, 2.0, 3.0, -50.0]])) == pytest.approx(1.5)
+    assert iqm(as_sample([[None, 4.0]])) == 4.0
+
+
+def test_paired_difference_forgets_what_houses_share():
+    rng = np.random.default_rng(4)
+    hardness = rng.normal(100.0, 30.0, size=(1, 80))
+    ours = hardness + rng.normal(-5.0, 1.0, size=(3, 80))
+    paired = paired_difference(ours, hardness)
+    assert paired.mean == pytest.approx((ours - hardness).mean())
+    low, high = paired.ci95
+    assert -6.0 < low < high < -4.0  # far narrower than the houses' spread
+
+
+def test_what_cannot_be_paired_is_bad_input():
+    with pytest.raises(BadInput, match="same houses"):
+        paired_difference(np.zeros((1, 3)), np.zeros((1, 4)))
+    with pytest.raises(BadInput, match="as many on both sides"):
+        paired_difference(np.zeros((2, 3)), np.zeros((3, 3)))
