@@ -1,0 +1,218 @@
+"""What a house is, who draws one, and how many become a stack.
+
+Rules: world.md "Grid, robots, time". NumPy only, so that the commands can check a house before
+torch is imported.
+"""
+
+import random
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from scipy import ndimage
+
+from marl_clean.errors import BadInput
+
+# Seeds of houses to train on, to choose weights on, and to measure once.
+SPLITS: dict[str, range] = {
+    "train": range(0, 1_000_000),
+    "validation": range(1_000_000, 1_010_000),
+    "test": range(2_000_000, 2_010_000),
+}
+DRAWS_PER_SEED = 100
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One house: where robots can stand, which blocked cells are furniture, who starts where.
+
+    `free` is bool [rows, cols]; `furniture` int16 [rows, cols]: 0 none, k > 0 piece k. `starts`
+    are the cells a file gives, in the robots' order; `source` is the seed or the path.
+    """
+
+    free: np.ndarray
+    furniture: np.ndarray
+    starts: tuple[tuple[int, int], ...] | None
+    source: int | str
+
+
+class House(ABC):
+    """Draws plans. A level of the room is one subclass, final."""
+
+    generated: ClassVar[bool]  # True: another plan for every seed; False: one plan from a file
+
+    @abstractmethod
+    def plan(self, seed: int, draw: int = 0) -> Plan:
+        """The plan of a seed, and of nothing else; `draw` counts the redraws of that seed.
+
+        A loaded plan ignores both. Raises BadInput where the file cannot be used.
+        """
+
+
+@dataclass(frozen=True)
+class Houses:
+    """N houses as one stack, padded with blocked cells to the largest.
+
+    `free` bool [N, R, C]; `furniture` int16 [N, R, C]; `rows` and `cols` int64 [N], each house's
+    own; `starts` int64 [N, k, 2] as (row, col), k <= n_agents, or None where the world draws all;
+    `sources` the seeds or paths.
+    """
+
+    free: np.ndarray
+    furniture: np.ndarray
+    rows: np.ndarray
+    cols: np.ndarray
+    starts: np.ndarray | None
+    sources: list[int | str]
+
+    def __len__(self) -> int:
+        return len(self.sources)
+
+    @property
+    def free_cells(self) -> np.ndarray:
+        """Free cells of each house, int64 [N]."""
+        return np.count_nonzero(self.free, axis=(1, 2))
+
+
+def split_seeds(split: str, count: int) -> range:
+    """The first `count` seeds of a split. Raises BadInput for no such split, or too many."""
+    if split not in SPLITS:
+        raise BadInput(f"split: {split!r} is none of {', '.join(SPLITS)}")
+    if not 1 <= count <= len(SPLITS[split]):
+        raise BadInput(f"split {split}: {count} houses; 1 to {len(SPLITS[split])} are valid")
+    return SPLITS[split][:count]
+
+
+def draw_houses(house: House, seeds: Sequence[int], n_agents: int) -> Houses:
+    """One house a seed, in order; a loaded plan gives one house, whatever the seeds.
+
+    Generated houses have one connected free region and more free cells than robots, or are drawn
+    again. Of a loaded plan one region stays free, see `keep_region`; of its starts the first
+    `n_agents` stay, and where it gives fewer the world draws the rest.
+
+    Raises BadInput where the file or the settings allow no such house.
+    """
+    if not house.generated:
+        return _stack([_loaded(house, n_agents)])
+    if not seeds:
+        raise BadInput("house: no seeds to draw houses from; at least one is needed")
+    return _stack([_drawn(house, seed, n_agents) for seed in seeds])
+
+
+def draw_bank(house: House, count: int, n_agents: int, split: str = "train") -> Houses:
+    """Up to `count` distinct houses, of the first seeds of a split that bring one.
+
+    Settings that allow fewer (an open house of one size, a loaded plan) give those there are: the
+    walk ends when `count` seeds in a row brought nothing new.
+
+    Raises BadInput as `draw_houses` does.
+    """
+    split_seeds(split, count)
+    if not house.generated:
+        return draw_houses(house, SPLITS[split][:1], n_agents)
+    bank: dict[tuple[tuple[int, ...], bytes], Plan] = {}
+    repeats = 0
+    for seed in SPLITS[split]:
+        plan = _drawn(house, seed, n_agents)
+        layout = plan.free.shape, plan.free.tobytes()
+        repeats = repeats + 1 if layout in bank else 0
+        bank.setdefault(layout, plan)
+        if len(bank) == count or repeats == count:
+            break
+    return _stack(list(bank.values()))
+
+
+def keep_region(plan: Plan) -> Plan:
+    """The plan with one connected region free: that of its starts, or without any the largest.
+
+    Of equally large regions it is the one with the smallest (row, col). Cells connect by their
+    four sides. Raises BadInput: no free cell, or starts in two regions.
+    """
+    regions, count = ndimage.label(plan.free)
+    if count == 0:
+        raise BadInput(f"{plan.source}: the plan has no free cell; at least one is needed")
+    if plan.starts:
+        first = plan.starts[0]
+        kept = regions[first]
+        for start in plan.starts:
+            if regions[start] != kept:
+                raise BadInput(
+                    f"{plan.source}: the starts {first} and {start} (row, col) lie in two "
+                    "regions; all starts must lie in one"
+                )
+    else:
+        # Regions are numbered in reading order, so the first of equal ones is the right one.
+        kept = 1 + np.argmax(np.bincount(regions.ravel())[1:])
+    return replace(plan, free=regions == kept)
+
+
+def stream(seed: int, draw: int) -> random.Random:
+    """The random numbers of one draw of one seed, the same under any setting."""
+    return random.Random(f"{seed}/{draw}")
+
+
+def between(numbers: random.Random, low: int, high: int) -> int:
+    """A uniform integer, both ends included.
+
+    By `random()` alone, the one method whose sequence Python promises never to change.
+    """
+    return low + int(numbers.random() * (high - low + 1))
+
+
+def check_range(key: str, value: Sequence[int], least: int) -> None:
+    """Raises BadInput, naming `key`, unless `value` is [low, high] with least <= low <= high."""
+    if len(value) != 2 or not least <= value[0] <= value[1]:
+        raise BadInput(
+            f"{key}: {list(value)} is not [low, high] with {least} <= low <= high; "
+            f"[{least}, {least}] is the smallest"
+        )
+
+
+def _drawn(house: House, seed: int, n_agents: int) -> Plan:
+    for draw in range(DRAWS_PER_SEED):
+        plan = house.plan(seed, draw)
+        if ndimage.label(plan.free)[1] == 1 and np.count_nonzero(plan.free) > n_agents:
+            return plan
+    raise BadInput(
+        f"house: in {DRAWS_PER_SEED} draws of seed {seed} none had one region of more than "
+        f"{n_agents} free cells (env.n_agents), the last {np.count_nonzero(plan.free)} in all; "
+        "raise house.rows or house.cols, or lower env.n_agents"
+    )
+
+
+def _loaded(house: House, n_agents: int) -> Plan:
+    plan = keep_region(house.plan(0))
+    free_cells = int(np.count_nonzero(plan.free))
+    if free_cells <= n_agents:
+        reason = "clean at step 0" if free_cells == n_agents else "more robots than cells"
+        valid = f"1 to {free_cells - 1}" if free_cells > 1 else "none, so take another plan"
+        raise BadInput(
+            f"{plan.source}: {reason}, free cells: {free_cells}, env.n_agents: {n_agents}; "
+            f"valid for env.n_agents: {valid}"
+        )
+    return replace(plan, starts=plan.starts[:n_agents] if plan.starts else None)
+
+
+def _stack(plans: Sequence[Plan]) -> Houses:
+    rows = np.array([plan.free.shape[0] for plan in plans], dtype=np.int64)
+    cols = np.array([plan.free.shape[1] for plan in plans], dtype=np.int64)
+    size = len(plans), int(rows.max()), int(cols.max())
+    free, furniture = np.zeros(size, dtype=bool), np.zeros(size, dtype=np.int16)
+    for index, plan in enumerate(plans):
+        free[index, : rows[index], : cols[index]] = plan.free
+        furniture[index, : rows[index], : cols[index]] = plan.furniture
+    return Houses(
+        free=free,
+        furniture=furniture,
+        rows=rows,
+        cols=cols,
+        starts=_stack_starts([plan.starts for plan in plans]),
+        sources=[plan.source for plan in plans],
+    )
+
+
+def _stack_starts(starts: Iterable[tuple[tuple[int, int], ...] | None]) -> np.ndarray | None:
+    given = [cells for cells in starts if cells]
+    return np.array(given, dtype=np.int64) if given else None

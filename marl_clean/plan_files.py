@@ -1,0 +1,77 @@
+"""Finds and reads files that come from outside: bounded, and with one plain line when it fails.
+
+NumPy-free and torch-free.
+"""
+
+import difflib
+from pathlib import Path
+
+from marl_clean.errors import BadInput
+
+LARGEST_FILE_BYTES = 16 * 2**20
+LARGEST_SIDE = 4096  # rows or columns, in pixels or cells
+
+
+def find_plan(path: str, shipped: Path, suffixes: tuple[str, ...]) -> Path:
+    """The file at `path`, relative to the working directory, or the shipped plan of that name.
+
+    Raises BadInput for no such file, or one whose name ends on none of `suffixes`.
+    """
+    file = Path(path)
+    if not is_file(file):
+        names = {each.stem: each for each in sorted(shipped.iterdir()) if each.suffix in suffixes}
+        if path in names:
+            return names[path]
+        raise BadInput(f"house.path: no file {path!r}; {_nearest(file, suffixes, list(names))}")
+    if file.suffix.lower() not in suffixes:
+        raise BadInput(f"house.path: {path!r} does not end on any of {', '.join(suffixes)}")
+    return file
+
+
+def is_file(file: Path) -> bool:
+    """Whether an ordinary file is there; a name that no file can have is none."""
+    try:
+        return file.is_file()
+    except (OSError, ValueError):  # too long, or with a null byte
+        return False
+
+
+def read_bytes(file: Path, limit_bytes: int = LARGEST_FILE_BYTES) -> bytes:
+    """The whole file. Raises BadInput if it is larger than the limit, or cannot be read."""
+    try:
+        with file.open("rb") as stream:
+            content = stream.read(limit_bytes + 1)
+    except OSError as error:
+        raise BadInput(f"{file}: cannot be read ({error.strerror})") from error
+    if len(content) > limit_bytes:
+        raise BadInput(f"{file}: larger than {limit_bytes:,} bytes, the most that is read")
+    return content
+
+
+def read_lines(file: Path) -> list[bytes]:
+    """Lines of an ASCII file without their ends and without blank lines at the end of the file.
+
+    Raises BadInput as `read_bytes` does, and for a character that is not ASCII.
+    """
+    lines = [line.removesuffix(b"\r") for line in read_bytes(file).split(b"\n")]
+    while lines and not lines[-1]:
+        lines.pop()
+    for number, line in enumerate(lines, start=1):
+        if not line.isascii():
+            column = next(index for index, byte in enumerate(line, start=1) if byte > 127)
+            raise BadInput(
+                f"{file}, line {number}, column {column}: a character that is not ASCII"
+            )
+    return lines
+
+
+def _nearest(file: Path, suffixes: tuple[str, ...], shipped: list[str]) -> str:
+    """What could have been meant: a like-named file beside it, a shipped plan, else the kinds."""
+    try:
+        beside = [each.name for each in file.parent.iterdir() if each.suffix.lower() in suffixes]
+    except (OSError, ValueError):
+        beside = []
+    close = difflib.get_close_matches(file.name, [*beside, *shipped], n=1)
+    if close:
+        return f"did you mean {close[0]!r}?"
+    return f"valid: a file on {', '.join(suffixes)}, or a shipped plan: {', '.join(shipped)}"
