@@ -9,11 +9,12 @@ from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Int
+from torch import Tensor
 
-Count = TypeVar("Count", int, np.ndarray)  # one house, or a vector of houses
+Count = TypeVar("Count", int, np.ndarray, Tensor)  # one house, or a vector of houses
 
 
-def ceil_div(numerator: Count, denominator: Count | int) -> Count:
+def ceil_div(numerator: Count, denominator: int) -> Count:
     """The quotient rounded up, by integers alone."""
     return -(-numerator // denominator)
 
@@ -23,12 +24,19 @@ def need(percent: int, num_free: Count) -> Count:
     return ceil_div(percent * num_free, 100)
 
 
-def bound_cells(cells: Count, num_starts: Count, n_agents: int) -> Count:
+def bound_cells(
+    cells: Int[np.ndarray, " house"], num_starts: Int[np.ndarray, " house"], n_agents: int
+) -> Int[np.ndarray, " house"]:
     """Steps that n robots need for so many cells, the starts being clean at step 0."""
     return np.maximum(ceil_div(cells - num_starts, n_agents), 0)
 
 
-def bound_percent(percent: int, num_free: Count, num_starts: Count, n_agents: int) -> Count:
+def bound_percent(
+    percent: int,
+    num_free: Int[np.ndarray, " house"],
+    num_starts: Int[np.ndarray, " house"],
+    n_agents: int,
+) -> Int[np.ndarray, " house"]:
     """The least T_q: ceil((need(q) - n0) / n)."""
     return bound_cells(need(percent, num_free), num_starts, n_agents)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import trim_mean  # type: ignore[import-untyped]
+from scipy.stats import trim_mean
 
 from marl_clean.errors import BadInput
 

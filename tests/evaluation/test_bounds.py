@@ -60,7 +60,7 @@ def test_the_walk_bounds_a_corridor_that_starts_at_one_end():
 def test_a_house_that_the_starts_fill_is_bounded_by_nothing():
     free, starts = house_of(".."), np.array([[[0, 0], [0, 1]]])
     assert bound_100(free, starts) == 0
-    assert bound_percent(90, 2, 2, 2) == 0
+    assert bound_percent(90, np.array([2]), np.array([2]), 2) == 0
 
 
 def test_border_counts_each_blocked_cell_once_and_the_ring_but_no_corner():
