@@ -1,0 +1,38 @@
+"""Robots that learn to clean a house together.
+
+    env = marl_clean.make_env(["house=open", "env.n_agents=3"])
+    policy = marl_clean.load_policy("runs/NAME")
+
+Importing the package does not import torch; using it does.
+"""
+
+from typing import TYPE_CHECKING
+
+__version__ = "0.1.0"
+__all__ = ["__version__", "load_policy", "make_env"]
+
+if TYPE_CHECKING:
+    from tensordict.nn import TensorDictModule
+    from torchrl.envs import EnvBase
+
+
+def make_env(overrides: list[str] | None = None) -> "EnvBase":
+    """The TorchRL env of a config, as `marl-clean train` would build it.
+
+    Raises BadInput on a wrong setting.
+    """
+    from marl_clean import build
+    from marl_clean.compose import compose_config
+
+    return build.make_env(compose_config(overrides or []))
+
+
+def load_policy(run: str) -> "TensorDictModule":
+    """The best policy of a run, given by folder or name: observation (and adjacency) to action.
+
+    Raises BadInput when there is no such run or its files do not fit.
+    """
+    from marl_clean import build
+    from marl_clean.stored import find_run
+
+    return build.load_policy(find_run(run))

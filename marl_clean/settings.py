@@ -3,13 +3,14 @@
 No torch here: the commands check a config against these types before torch is imported.
 """
 
-from enum import Enum
-from typing import Annotated
+import re
+from enum import StrEnum
+from typing import Annotated, TypedDict
 
 from pydantic import AfterValidator, Field
 
 
-class Memory(str, Enum):
+class Memory(StrEnum):
     """Whose map a robot reads and writes (paper §3.2)."""
 
     SHARED = "shared"
@@ -17,7 +18,7 @@ class Memory(str, Enum):
     MERGED = "merged"
 
 
-class Knowledge(str, Enum):
+class Knowledge(StrEnum):
     """What the map holds when an episode starts (paper §3.4)."""
 
     UNKNOWN = "unknown"
@@ -25,35 +26,35 @@ class Knowledge(str, Enum):
     STALE = "stale"
 
 
-class Sensor(str, Enum):
+class Sensor(StrEnum):
     """How robots learn of walls: by bumping, or by touching the four neighbours."""
 
     BUMP = "bump"
     TOUCH4 = "touch4"
 
 
-class Decay(str, Enum):
+class Decay(StrEnum):
     """The paper's two readings of how a cleaned cell ages, over C = `decay_steps` (§3.2)."""
 
     FORMULA = "formula"  # falls by 1/C a step: dirty after C/2 steps
     SENTENCE = "sentence"  # falls by 0.5/C a step: dirty after C steps
 
 
-class Cases(str, Enum):
+class Cases(StrEnum):
     """How the rows of the reward combine (§3.3)."""
 
     ADD = "add"
     EXCLUDE = "exclude"
 
 
-class ObstaclePay(str, Enum):
+class ObstaclePay(StrEnum):
     """When a bump pays: the paper's text, or its formula (§3.3)."""
 
     FIRST = "first"
     EVERY = "every"
 
 
-class Assignment(str, Enum):
+class Assignment(StrEnum):
     """Who decides which robot takes which target."""
 
     NONE = "none"
@@ -61,16 +62,24 @@ class Assignment(str, Enum):
     HUNGARIAN = "hungarian"
 
 
-class HouseOrder(str, Enum):
+class HouseOrder(StrEnum):
     """Which house an episode gets: a drawn one, or environment i always house i."""
 
     RANDOM = "random"
     FIXED = "fixed"
 
 
+class HouseSet(StrEnum):
+    """Held-out houses: to choose weights by, or to measure the chosen ones once."""
+
+    VALIDATION = "validation"
+    TEST = "test"
+
+
 def _odd(value: int) -> int:
     if value % 2 == 0:
-        raise ValueError(f"must be odd, the robot stands in the middle; {value - 1} and {value + 1} are")
+        near = f"{value - 1} and {value + 1} are"
+        raise ValueError(f"must be odd, the robot stands in the middle; {value} is not, {near}")
     return value
 
 
@@ -86,6 +95,45 @@ OddInt = Annotated[int, Field(ge=1), AfterValidator(_odd)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
+LARGEST_SIDE = 4096  # cells of a house, drawn or loaded
 Range = Annotated[
-    list[PositiveInt], Field(min_length=2, max_length=2), AfterValidator(_ascending)
+    list[Annotated[int, Field(ge=1, le=LARGEST_SIDE)]],
+    Field(min_length=2, max_length=2),
+    AfterValidator(_ascending),
 ]
+
+
+def _folder_name(value: str) -> str:
+    if not re.fullmatch(r"[\w+=,@-][\w.+=,@-]*(/[\w+=,@-][\w.+=,@-]*)*", value):
+        raise ValueError(f"must be a folder's name of letters, digits and _.+=,@- , not {value!r}")
+    return value
+
+
+def _device(value: str) -> str:
+    if not re.fullmatch(r"cpu|mps|cuda(:\d+)?", value):
+        raise ValueError(f"must be cpu, cuda, cuda:1 or mps, not {value!r}")
+    return value
+
+
+FolderName = Annotated[str, AfterValidator(_folder_name)]
+Device = Annotated[str, AfterValidator(_device)]
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
+
+
+class Evaluation(TypedDict):
+    """The config's section `evaluation`: how policies are measured."""
+
+    house_set: HouseSet
+    houses: Annotated[int, Field(ge=1, le=10_000)]
+    epsilon: Probability
+    certify: bool
+
+
+class Root(TypedDict):
+    """The config's keys outside of every room."""
+
+    seed: Seed
+    device: Device
+    name: FolderName | None
+    checkpoint: str | None
+    out: str | None

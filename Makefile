@@ -1,0 +1,51 @@
+# `make train` and `make test` need Python 3.11 and nothing else: they set up .venv themselves.
+# No target names a path from outside, so the checkout may lie anywhere, spaces included.
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DELETE_ON_ERROR:
+.PHONY: help setup train test lint benchmark clean
+
+PYTHON ?= python3.11
+VENV := .venv
+INSTALLED := $(VENV)/.installed
+RUN := $(VENV)/bin/python -m
+
+help:
+	@echo "make train       set up, train and evaluate the paper's approach 2"
+	@echo "make test        set up, run the tests"
+	@echo "make lint        set up, check format and types"
+	@echo "make benchmark   set up, measure speed"
+	@echo "make clean       remove .venv and caches; runs/ stays"
+
+setup: $(INSTALLED)
+
+# Renewed only when what is to be installed has changed.
+$(INSTALLED): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(RUN) pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	touch $@
+
+train: $(INSTALLED)
+	$(RUN) marl_clean train
+
+test: $(INSTALLED)
+	OMP_NUM_THREADS=1 $(RUN) pytest -n 2 --dist worksteal
+
+$(VENV)/.installed-dev: $(INSTALLED)
+	$(RUN) pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+lint: $(VENV)/.installed-dev
+	$(RUN) ruff check .
+	$(RUN) ruff format --check .
+	$(RUN) mypy
+
+$(VENV)/.installed-benchmark: $(INSTALLED)
+	$(RUN) pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[benchmark]'
+	touch $@
+
+benchmark: $(VENV)/.installed-benchmark
+	$(RUN) marl_clean benchmark
+
+clean:
+	rm -rf $(VENV) .pytest_cache .hypothesis .mypy_cache .ruff_cache dist build

@@ -1,0 +1,257 @@
+"""From `key=value` settings to one checked config, before torch is imported.
+
+Hydra composes the defaults of `conf/` with the settings, `schema` holds the result against the
+constructors' signatures, and what is wrong becomes one line.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from hydra import compose, initialize_config_dir
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, OverrideType
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from marl_clean import schema
+from marl_clean.errors import BadInput
+from marl_clean.settings import Evaluation, Root
+
+PACKAGE = Path(__file__).parent
+EXPERIMENT = "experiment"
+OUTSIDE_THE_HASH = ("hydra", "name", "device", "logger", "checkpoint", "out")
+
+
+def conf_folder() -> Path:
+    """The folder of the yaml files: inside the package (a wheel) or beside it (a checkout)."""
+    for folder in (PACKAGE / "conf", PACKAGE.parent / "conf"):
+        if (folder / "config.yaml").is_file():
+            return folder
+    raise BadInput(f"no conf/config.yaml in {PACKAGE} or {PACKAGE.parent}; install marl-clean anew")
+
+
+def rooms() -> dict[str, list[str]]:
+    """The rooms of `conf/` and the levels of each; `experiment` is not a room."""
+    return {room: levels for room, levels in _groups().items() if room != EXPERIMENT}
+
+
+def compose_config(overrides: Sequence[str] = ()) -> DictConfig:
+    """The config that `overrides` describe, checked and resolved.
+
+    Raises BadInput on what cannot be read, is unknown, or has a wrong type or value.
+    """
+    parsed = parse_overrides(overrides)
+    if sweeping := [o.key_or_group for o in parsed if o.is_sweep_override()]:
+        raise BadInput(f"{sweeping[0]}: several values are for `train -m` alone; give one")
+    return checked(resolved(_composed(parsed)), parsed)
+
+
+def sweep_jobs(overrides: Sequence[str]) -> list[list[str]]:
+    """The overrides of each job of a sweep: every combination of the values given.
+
+    Raises BadInput on a range that has no end, such as `interval(0, 1)`.
+    """
+    alternatives = []
+    for override in parse_overrides(overrides, hydra_too=True):
+        key = override.get_key_element()
+        if override.is_discrete_sweep():
+            values = list(override.sweep_string_iterator())
+        elif override.is_sweep_override():
+            raise BadInput(f"{key}: a sweep needs a list of values, such as {key}=1,2,3")
+        else:
+            values = [override.get_value_element_as_str()]
+        alternatives.append([f"{key}={value}" for value in values])
+    return [list(job) for job in product(*alternatives)]
+
+
+def config_hash(config: DictConfig) -> str:
+    """sha256 over sorted compact JSON of what decides a run's result."""
+    content = {
+        key: value for key, value in _container(config).items() if key not in OUTSIDE_THE_HASH
+    }
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def parse_overrides(overrides: Sequence[str], hydra_too: bool = False) -> list[Override]:
+    """The settings, read one by one; `+experiment=NAME` and `experiment=NAME` are the same.
+
+    Raises BadInput on one that is no KEY=VALUE, adds or deletes a key, or names no level.
+    """
+    parser = OverridesParser.create()
+    parsed = []
+    for text in overrides:
+        setting = text.removeprefix("+") if text.startswith(f"+{EXPERIMENT}=") else text
+        try:
+            [override] = parser.parse_overrides([setting])
+        except HydraException:
+            raise BadInput(_unreadable(text)) from None
+        if override.is_hydra_override() and not hydra_too:
+            raise BadInput(f"{override.key_or_group}: Hydra's own settings are for `train -m`")
+        if not override.key_or_group:
+            raise BadInput(_unreadable(text))
+        if override.type is not OverrideType.CHANGE or override.package is not None:
+            raise BadInput(f"{text!r}: keys are not added, moved or deleted; write KEY=VALUE")
+        _check_level(override)
+        parsed.append(override)
+    return parsed
+
+
+def apply(config: dict[str, Any], parsed: Sequence[Override]) -> dict[str, Any]:
+    """`config` of an earlier run, with the overridden levels and values replaced."""
+    groups = [o for o in parsed if o.key_or_group in _groups()]
+    levels = _container(_composed(groups))
+    base = {**config, **{o.key_or_group: levels[o.key_or_group] for o in groups}}
+    merged = OmegaConf.create(base)
+    for override in parsed:
+        key = override.key_or_group
+        if override in groups:
+            continue
+        if key not in set(_keys(base)):
+            raise BadInput(_unknown(key, base))
+        OmegaConf.update(merged, key, override.value(), merge=True)
+    return resolved(merged)
+
+
+def resolved(config: DictConfig) -> dict[str, Any]:
+    """The config as plain data, every `${...}` replaced. Raises BadInput on one that cannot be."""
+    try:
+        plain = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+    except OmegaConfBaseException as error:
+        raise BadInput(f"{error.full_key}: {_first_line(error)}") from None
+    assert isinstance(plain, dict)
+    return {str(key): value for key, value in plain.items()}
+
+
+def checked(plain: dict[str, Any], parsed: Sequence[Override] = ()) -> DictConfig:
+    """`plain` as a config with its `name` filled in. Raises BadInput when the schema says no."""
+    plain = {**plain, "logger": plain.get("logger") or {}}  # none at all is a choice, too
+    problems = list(_problems(plain))
+    if problems:
+        asked = {override.key_or_group for override in parsed}
+        first = next((p for p in problems if p.key in asked), problems[0])
+        raise BadInput(f"{first.key}: {first.reason}")
+    config = OmegaConf.create(plain)
+    if config.name is None:
+        presets = [o.value() for o in parsed if o.key_or_group == EXPERIMENT]
+        config.name = f"{(presets and presets[-1]) or 'run'}-{config_hash(config)[:8]}"
+    OmegaConf.set_struct(config, True)
+    return config
+
+
+def _problems(plain: Mapping[str, Any]) -> Iterator[schema.Problem]:
+    """Everything in the config that the constructors and `settings` do not accept."""
+    levels = rooms()
+    root = get_type_hints(Root, include_extras=True)
+    given = {key: value for key, value in plain.items() if key not in levels}
+    evaluation = given.pop("evaluation", {})
+    yield from schema.problems_of_mapping(given, root, "", root)
+    yield from _problems_of_evaluation(evaluation)
+    for room in levels:
+        section = plain.get(room)
+        if room == "logger" and isinstance(section, dict):  # several at once, by name
+            for name, level in section.items():
+                yield from _problems_of_section(level, f"logger.{name}", "logger")
+        else:
+            yield from _problems_of_section(section, room, room)
+
+
+def _problems_of_section(section: Any, key: str, room: str) -> Iterator[schema.Problem]:
+    if isinstance(section, dict):
+        yield from schema.problems_of_level(section, key, room)
+    else:
+        valid = schema.choices(str(section), rooms()[room])
+        yield schema.Problem(key, f"must be one level of its room; {valid}")
+
+
+def _problems_of_evaluation(section: Any) -> Iterator[schema.Problem]:
+    if isinstance(section, dict):
+        types = get_type_hints(Evaluation, include_extras=True)
+        yield from schema.problems_of_mapping(section, types, "evaluation.", types)
+    else:
+        yield schema.Problem("evaluation", "must be a section; set its keys one by one")
+
+
+def _composed(parsed: Sequence[Override]) -> DictConfig:
+    """Hydra's composition. Raises BadInput that names the key Hydra stumbled over."""
+    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+        try:
+            return compose("config", [o.input_line or "" for o in parsed])
+        except HydraException as error:
+            groups = [o.input_line or "" for o in parsed if o.key_or_group in _groups()]
+            known = _container(compose("config", groups))
+            for key in (o.key_or_group for o in parsed if o.input_line not in groups):
+                if key not in set(_keys(known)):
+                    raise BadInput(_unknown(key, known)) from None
+            sections = [o.key_or_group for o in parsed if isinstance(o.value(), dict)]
+            if sections:
+                raise BadInput(f"{sections[0]}: set the keys of a section one by one") from None
+            raise BadInput(_first_line(error)) from error
+
+
+def _groups() -> dict[str, list[str]]:
+    return {
+        folder.name: sorted(path.stem for path in folder.glob("*.yaml"))
+        for folder in sorted(conf_folder().iterdir())
+        if folder.is_dir()
+    }
+
+
+def _check_level(override: Override) -> None:
+    """Raises BadInput when a room is given something that is not one of its levels."""
+    levels = _groups().get(override.key_or_group)
+    if levels is None or override.is_sweep_override():
+        return
+    value = override.value()
+    wanted = value if isinstance(value, list) and override.key_or_group == "logger" else [value]
+    if override.key_or_group == EXPERIMENT and value is None:
+        return
+    for level in wanted:
+        if not isinstance(level, str) or level not in levels:
+            text = override.get_value_element_as_str()
+            valid = schema.choices(str(level), levels)
+            raise BadInput(f"{override.key_or_group}={text}: no such level; {valid}")
+
+
+def _unreadable(text: str) -> str:
+    """The message for a setting that is none, or whose value needs quotes."""
+    key, equals, value = text.partition("=")
+    if not key.strip() or not equals:
+        return f"{text!r} is not a setting; write KEY=VALUE, such as seed=1"
+    return f"{key}: cannot read {value!r}; quote special characters: \"{key}='...'\""
+
+
+def _unknown(key: str, known: Mapping[str, Any]) -> str:
+    """The message for a key that the config does not have."""
+    parent, _, last = key.rpartition(".")
+    siblings = [
+        k.removeprefix(f"{parent}.") if parent else k
+        for k in _keys(known)
+        if k.rpartition(".")[0] == parent
+    ]
+    if siblings:
+        return f"{key}: no such key; {schema.choices(last, siblings)}"
+    return f"{key}: no such key; {schema.choices(key.partition('.')[0], known)}"
+
+
+def _keys(tree: Any, prefix: str = "") -> Iterator[str]:
+    """Every dotted key of nested mappings, inner ones included."""
+    for key, value in tree.items():
+        yield f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            yield from _keys(value, f"{prefix}{key}.")
+
+
+def _container(config: DictConfig) -> dict[str, Any]:
+    plain = OmegaConf.to_container(config, resolve=False)
+    assert isinstance(plain, dict)
+    return {str(key): value for key, value in plain.items()}
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0]
