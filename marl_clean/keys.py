@@ -28,3 +28,4 @@ DONE = "done"  # *B 1 bool
 TERMINATED = "terminated"
 TRUNCATED = "truncated"
 STEPS_TO_NEXT_OBS = "steps_to_next_obs"  # *B int64: length of the n-step window
+ENDINGS = (DONE, TERMINATED, TRUNCATED)

@@ -97,9 +97,7 @@ def advance(
     )
 
 
-def held_records(
-    state: State, cell: Int[Tensor, "env agent"]
-) -> Float[Tensor, "env agent"]:
+def held_records(state: State, cell: Int[Tensor, "env agent"]) -> Float[Tensor, "env agent"]:
     """Return what the map that each robot reads holds of one cell a robot."""
     record = state.record.flatten(2).expand(-1, state.n_agents, -1)
     return record.gather(2, cell[..., None])[..., 0]

@@ -22,7 +22,7 @@ class Purpose(IntEnum):
     ACTION = 4
 
 
-def _mix(word: Tensor) -> Tensor:
+def _mix(word):
     """Bijective finaliser of 32-bit words: xor-shifts around two odd multiplications.
 
     Constants: "lowbias32", C. Wellons, "Prospecting for hash functions" (2018).
@@ -34,19 +34,17 @@ def _mix(word: Tensor) -> Tensor:
     return word ^ (word >> 16)
 
 
-def random_bits(*words: int | Tensor) -> Int[Tensor, "..."]:
-    """Hash integer words, broadcast together, to int64 values in [0, 2^32).
+def random_bits(seed: int, *words: int | Tensor) -> Int[Tensor, "..."]:
+    """Hash a seed of up to 64 bits and words of up to 32 bits to int64 values in [0, 2^32).
 
-    Each word counts with its low 62 bits. At least one of them is a tensor.
+    The words broadcast against each other; at least one of them is a tensor.
     """
-    state: Tensor | int = 0x9E3779B9
+    state = _mix(_mix(seed & _LOW_32_BITS) ^ (seed >> 32 & _LOW_32_BITS))
     for word in words:
-        word = torch.as_tensor(word)
-        for part in (word & _LOW_32_BITS, word >> 32):
-            state = _mix((state ^ part) & _LOW_32_BITS)
+        state = _mix(state ^ word)
     return torch.as_tensor(state)
 
 
-def random_below(bound: int | Tensor, *words: int | Tensor) -> Int[Tensor, "..."]:
+def random_below(bound: int | Tensor, seed: int, *words: int | Tensor) -> Int[Tensor, "..."]:
     """Draw int64 values in [0, bound), bound at most 2^31; the bias is below bound / 2^32."""
-    return (random_bits(*words) * bound) >> 32
+    return (random_bits(seed, *words) * bound) >> 32

@@ -68,19 +68,23 @@ def in_view(
     position: Int[Tensor, "env agent 2"], view_size: int
 ) -> Bool[Tensor, "env agent agent"]:
     """Each stands inside the other's square: Chebyshev distance at most view_size // 2."""
-    return _not_itself(offsets(position).abs().amax(-1) <= view_size // 2)
+    near = offsets(position).abs().amax(-1) <= view_size // 2
+    return near & everyone(position)
 
 
 def in_radius(
     position: Int[Tensor, "env agent 2"], radius_cells: float
 ) -> Bool[Tensor, "env agent agent"]:
     """Euclidean distance at most `radius_cells`."""
-    return _not_itself(offsets(position).square().sum(-1) <= radius_cells**2)
+    near = offsets(position).square().sum(-1) <= radius_cells**2
+    return near & everyone(position)
 
 
-def _not_itself(contact: Bool[Tensor, "env agent agent"]) -> Bool[Tensor, "env agent agent"]:
-    itself = torch.eye(contact.shape[-1], dtype=torch.bool, device=contact.device)
-    return contact & ~itself
+def everyone(position: Int[Tensor, "env agent 2"]) -> Bool[Tensor, "env agent agent"]:
+    """Every robot with every other."""
+    num_envs, n_agents = position.shape[:2]
+    itself = torch.eye(n_agents, dtype=torch.bool, device=position.device)
+    return ~itself.expand(num_envs, -1, -1)
 
 
 def crossed_cells(reach: int) -> Int[Tensor, "side side crossed 2"]:

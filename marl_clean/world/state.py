@@ -46,10 +46,25 @@ class State:
         """Return every field by name; the tensors themselves, not copies."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
+    def rows_of(self, rows: Int[Tensor, " row"]) -> "State":
+        """Return a copy of the worlds `rows`."""
+        return State(**{name: tensor[rows] for name, tensor in self.tensors().items()})
+
     def write_rows_(self, rows: Int[Tensor, " row"], other: "State") -> None:
-        """Overwrite the worlds `rows` by the worlds of `other`, in place."""
+        """Overwrite the worlds `rows` by those of `other`: the matrices in place.
+
+        What is one number a world or a robot gets a new tensor, since the old one may have been
+        handed out as part of a recorded step.
+        """
         for name, tensor in self.tensors().items():
-            tensor[rows] = getattr(other, name)
+            new = getattr(other, name)
+            if name in MATRICES:
+                tensor[rows] = new
+            else:
+                setattr(self, name, tensor.index_put((rows,), new))
+
+
+MATRICES = ("blocked", "piece", "record", "visited")
 
 
 def cell_index(position: Tensor, margin: int, width: int) -> Tensor:

@@ -1,0 +1,294 @@
+"""The TorchRL face of the cleaning world."""
+
+from collections import OrderedDict
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from jaxtyping import Bool, UInt8
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from marl_clean import keys
+from marl_clean.env.houses import house_tensors
+from marl_clean.env.scene import scene_of
+from marl_clean.errors import BadInput
+from marl_clean.house.base import Houses
+from marl_clean.settings import (
+    Cases,
+    Decay,
+    HouseOrder,
+    Knowledge,
+    Memory,
+    NonNegativeInt,
+    ObstaclePay,
+    PositiveInt,
+    Sensor,
+)
+from marl_clean.viewer import draw
+from marl_clean.world.dynamics import MOVES, advance, commit_, episode_ends
+from marl_clean.world.episode import FurnitureMoves, begin
+from marl_clean.world.furniture import move_furniture_
+from marl_clean.world.rules import Rules
+from marl_clean.world.shared_map import merge_maps
+from marl_clean.world.state import State
+
+Contact = Callable[[State], Bool[Tensor, "env agent agent"]]
+
+
+class CleaningEnv(EnvBase):
+    """Blind robots that clean unknown houses together, many houses at once.
+
+    ## Description
+    Each of `num_envs` worlds is a house of free and blocked cells with `n_agents` robots. The
+    robots see nothing but the map they write themselves; they clean the cell they stand on.
+    The rules are fixed in `marl_clean.world`; every reading of the paper is a setting here.
+
+    ## Actions
+    `("agents", "action")`, int64 `[num_envs, n_agents]`: 0 up (row - 1), 1 right (col + 1),
+    2 down (row + 1), 3 left (col - 1). There is no "stay".
+
+    ## Observations
+    `("agents", "position")`, int64 `[num_envs, n_agents, 2]`: (row, col) in the house. What a
+    network sees is added by the transforms of `marl_clean.observation` and
+    `marl_clean.topology`, which read `env.state` by reference.
+
+    ## Rewards
+    `("agents", "own_reward")`, float32 `[num_envs, n_agents, 1]`: the sum of the three terms in
+    `("agents", "info", "step" | "cleaning" | "discovery")`; see `marl_clean.world.rewards`.
+    What a robot is paid, `("agents", "reward")`, is added by `marl_clean.reward`.
+
+    ## Starting state
+    A house drawn from `houses` (or, with `house_order=fixed`, house i for env i), robots on
+    distinct free cells: those of the plan, else drawn. Everything drawn is a pure function of
+    (seed, env index, episode).
+
+    ## Episode end
+    `terminated`: every free cell has been cleaned at least once. `truncated`: after `max_steps`,
+    or when nothing was cleaned for the first time within `stuck_after` steps.
+
+    ## Version history
+    World version 0.
+
+    Args:
+        houses: the houses to play in.
+        n_agents: robots in each world.
+        num_envs: worlds played at once.
+        memory: whose map a robot reads and writes: shared, private or merged.
+        knowledge: the map at the start: unknown, memorised or stale.
+        sensor: bump, or touch4 (the four neighbours of every robot are known).
+        max_steps: steps until truncation; null: 4 R C // n_agents + 50 of each house's own size.
+        stuck_after: steps without a newly cleaned cell until truncation; null: never.
+        decay_steps: C, how long a cell stays clean.
+        decay: formula (falls by 1/C a step) or sentence (by 0.5/C).
+        uncleaned_at_most: cells with a map value up to this pay as uncleaned, in [0, 0.5).
+        unknown_pays_as: v of an unknown cell in the cleaning term: -0.2 or 0.
+        cases: whether the reward's terms add up or exclude each other.
+        obstacles: whether a bump pays the first time or every time.
+        furniture_moves_per_episode: moves of one piece by one cell, drawn at reset.
+        furniture_moves_before_start: with knowledge=stale, moves since the robots memorised.
+        compile: compile the pure parts of a step (some 20 s once, several times faster after).
+        margin: cells stored around the house; at least half the view.
+        house_order: random (episodes draw a house), or fixed (env i plays house i).
+        contact: who is in contact, for private and merged maps: a topology's `contact`.
+        first_env: index of the first world: env i of 64 is the only one of `first_env=i`.
+        seed: the seed of everything drawn.
+        device: where the tensors live.
+
+    Raises:
+        BadInput: a setting out of range, or private or merged maps without `contact`.
+    """
+
+    batch_locked = True
+
+    def __init__(
+        self,
+        houses: Houses,
+        *,
+        n_agents: PositiveInt = 2,
+        num_envs: PositiveInt = 128,
+        memory: Memory = Memory.SHARED,
+        knowledge: Knowledge = Knowledge.UNKNOWN,
+        sensor: Sensor = Sensor.BUMP,
+        max_steps: PositiveInt | None = None,
+        stuck_after: PositiveInt | None = 100,
+        decay_steps: PositiveInt = 200,
+        decay: Decay = Decay.FORMULA,
+        uncleaned_at_most: float = 0.0,
+        unknown_pays_as: float = -0.2,
+        cases: Cases = Cases.ADD,
+        obstacles: ObstaclePay = ObstaclePay.FIRST,
+        furniture_moves_per_episode: NonNegativeInt = 0,
+        furniture_moves_before_start: NonNegativeInt = 0,
+        compile: bool = False,
+        margin: int = 7,
+        house_order: HouseOrder = HouseOrder.RANDOM,
+        contact: Contact | None = None,
+        first_env: int = 0,
+        seed: int = 0,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        super().__init__(device=device, batch_size=[num_envs])
+        self.rules = Rules(
+            memory=Memory(memory),
+            knowledge=Knowledge(knowledge),
+            sensor=Sensor(sensor),
+            decay_steps=decay_steps,
+            decay=Decay(decay),
+            uncleaned_at_most=uncleaned_at_most,
+            unknown_pays_as=unknown_pays_as,
+            cases=Cases(cases),
+            obstacles=ObstaclePay(obstacles),
+            stuck_after=stuck_after,
+            margin=margin,
+        )
+        if self.rules.memory is not Memory.SHARED and contact is None:
+            raise BadInput(f"env.memory={memory}: needs contact=, a topology's contact function")
+        self.n_agents = n_agents
+        self.num_envs = num_envs
+        self.houses = houses
+        self.house_order = HouseOrder(house_order)
+        self.furniture = FurnitureMoves(furniture_moves_per_episode, furniture_moves_before_start)
+        self.contact = contact
+        self.compile_functions = compile
+        self._houses = house_tensors(houses, n_agents, max_steps, margin, self.device)
+        self._moves = torch.tensor(MOVES, device=self.device)
+        self._env_index = torch.arange(first_env, first_env + num_envs, device=self.device)
+        self._advance = self.compiled(advance)
+        self._make_specs()
+        self._set_seed(seed)
+        everyone = torch.arange(num_envs, device=self.device)
+        self.state = self._begin(everyone, torch.zeros_like(everyone))
+
+    def compiled(self, function: Callable) -> Callable:
+        """Return the function compiled where `compile` is set, else as it is."""
+        return torch.compile(function) if self.compile_functions else function
+
+    def _make_specs(self) -> None:
+        agents = torch.Size([self.num_envs, self.n_agents])
+        one = torch.Size([*agents, 1])
+
+        def of_agents(**specs) -> Composite:
+            return Composite(agents=Composite(**specs, shape=agents), shape=self.batch_size)
+
+        flag = torch.Size([self.num_envs, 1])
+        self.action_spec = of_agents(action=Categorical(len(MOVES), shape=agents))
+        highest = max(self.houses.free.shape[1:])
+        self.observation_spec = of_agents(
+            position=Bounded(0, highest, shape=torch.Size([*agents, 2]), dtype=torch.int64)
+        )
+        terms = {name: Unbounded(one) for name in ("step", "cleaning", "discovery")}
+        self.reward_spec = of_agents(
+            own_reward=Unbounded(one), info=Composite(**terms, shape=agents)
+        )
+        flags = {name: Binary(1, flag, dtype=torch.bool) for name in keys.ENDINGS}
+        self.done_spec = Composite(**flags, shape=self.batch_size)
+        self.to(self.device)
+
+    def _begin(self, rows: Tensor, episode: Tensor) -> State:
+        return begin(
+            self._houses,
+            self._env_index[rows],
+            episode,
+            self.seed_in_use,
+            self.house_order,
+            self.furniture,
+            self.rules,
+        )
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        if mask is None:
+            rows = torch.arange(self.num_envs, device=self.device)
+        else:
+            rows = mask.view(self.num_envs).nonzero()[:, 0]
+        episode = self.state.episode[rows] + self._started
+        self.state.write_rows_(rows, self._begin(rows, episode))
+        self._started = True
+        self._meet(rows)
+        return TensorDict(
+            {keys.AGENTS: self._agents({"position": self.state.position}), **self._no_ending()},
+            self.batch_size,
+            device=self.device,
+        )
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        state = self.state
+        outcome = self._advance(state, tensordict.get(keys.ACTION), self._moves, self.rules)
+        commit_(state, outcome, self.rules)
+        if self.furniture.during_episode:
+            move_furniture_(state, self.rules.margin)
+        self._meet()
+        terminated, truncated = episode_ends(state, self.rules.stuck_after)
+        terms = torch.stack(
+            (outcome.step_term, outcome.cleaning_term, outcome.discovery_term), 0
+        ).unsqueeze(-1)
+        step, cleaning, discovery = terms.unbind(0)
+        info = self._agents({"step": step, "cleaning": cleaning, "discovery": discovery})
+        agents = self._agents(
+            {"position": state.position, "own_reward": terms.sum(0), "info": info}
+        )
+        endings = (terminated | truncated, terminated, truncated)
+        return TensorDict(
+            {
+                keys.AGENTS: agents,
+                **{key: flag[:, None] for key, flag in zip(keys.ENDINGS, endings, strict=True)},
+            },
+            self.batch_size,
+            device=self.device,
+        )
+
+    def _meet(self, rows: Tensor | None = None) -> None:
+        """Unite the maps of robots in contact, before anyone observes (`memory=merged`)."""
+        if self.rules.memory is Memory.MERGED and self.contact is not None:
+            merged = merge_maps(self.state.record, self.contact(self.state))
+            if rows is None:
+                self.state.record = merged
+            else:
+                self.state.record[rows] = merged[rows]
+
+    def _agents(self, entries: dict) -> TensorDict:
+        return TensorDict(entries, [self.num_envs, self.n_agents], device=self.device)
+
+    def _no_ending(self) -> dict[str, Tensor]:
+        zero = torch.zeros((self.num_envs, 1), dtype=torch.bool, device=self.device)
+        return {key: zero.clone() for key in keys.ENDINGS}
+
+    def _set_seed(self, seed: int | None) -> None:
+        """Fix everything that the env draws; the next reset starts episode 0 of this seed."""
+        if seed is None:
+            raise BadInput("seed=None: must be an integer")
+        self.seed_in_use = seed
+        self._started = False
+        if "state" in self.__dict__:
+            self.state.episode = torch.zeros_like(self.state.episode)
+
+    def state_dict(self, *args, **kwargs) -> OrderedDict[str, Tensor]:
+        """Return copies of all tensors of the state, the seed among them."""
+        saved = OrderedDict((name, value.clone()) for name, value in self.state.tensors().items())
+        saved["seed"] = torch.tensor(self.seed_in_use)
+        saved["started"] = torch.tensor(self._started)
+        return saved
+
+    def load_state_dict(self, state_dict: dict[str, Tensor], *args, **kwargs) -> None:
+        """Put the env exactly where `state_dict` was taken.
+
+        Raises:
+            BadInput: the state is of other sizes or names than this env's.
+        """
+        tensors = {
+            name: value for name, value in state_dict.items() if name in State.__annotations__
+        }
+        shapes = {name: value.shape for name, value in self.state.tensors().items()}
+        if {name: value.shape for name, value in tensors.items()} != shapes:
+            raise BadInput("env state: sizes or names differ from this env's; same config needed")
+        self.state = State(**{name: value.clone() for name, value in tensors.items()})
+        self.seed_in_use = int(state_dict["seed"])
+        self._started = bool(state_dict["started"])
+
+    def render(self, env_index: int = 0, cell_pixels: int = 24) -> UInt8[np.ndarray, "h w 3"]:
+        """Return one world as an RGB frame: the truth beside what the robots know of it."""
+        contact = None if self.contact is None else self.contact(self.state)
+        return draw(scene_of(self.state, self.rules, env_index, contact), cell_pixels)

@@ -1,0 +1,54 @@
+"""From houses as drawn (NumPy) to the tensors that episodes start from."""
+
+import numpy as np
+import torch
+
+from marl_clean.errors import BadInput
+from marl_clean.house.base import Houses
+from marl_clean.world.episode import HouseTensors
+from marl_clean.world.state import pad_house
+
+
+def house_tensors(
+    houses: Houses, n_agents: int, max_steps: int | None, margin: int, device: torch.device
+) -> HouseTensors:
+    """Pad the houses by `margin` blocked cells and list their free cells.
+
+    `max_steps` null: 4 R C // n_agents + 50 of each house's own R and C.
+
+    Raises:
+        BadInput: a house has no more free cells than there are robots.
+    """
+    free_counts = houses.free_cells
+    if free_counts.min() <= n_agents:
+        raise BadInput(
+            f"env.n_agents={n_agents}: a house has {free_counts.min()} free cells; "
+            "it needs more of them than robots"
+        )
+    free = pad_house(torch.from_numpy(houses.free), margin, False)
+    rows, cols = torch.from_numpy(houses.rows), torch.from_numpy(houses.cols)
+    flat = free.flatten(1)
+    listed = torch.full((len(free), int(free_counts.max())), -1)
+    house, cell = flat.nonzero(as_tuple=True)
+    listed[house, flat.cumsum(1)[house, cell] - 1] = cell
+    limit = 4 * rows * cols // n_agents + 50
+    return HouseTensors(
+        blocked=~free.to(device),
+        piece=pad_house(torch.from_numpy(houses.furniture.astype(np.int16)), margin, 0).to(device),
+        num_pieces=torch.from_numpy(houses.furniture.max((1, 2)).astype(np.int64)).to(device),
+        rows=rows.to(device),
+        cols=cols.to(device),
+        free_cells=listed.to(device),
+        num_free=flat.sum(1).to(device),
+        max_steps=(limit if max_steps is None else torch.full_like(limit, max_steps)).to(device),
+        starts=_given_starts(houses, n_agents).to(device),
+    )
+
+
+def _given_starts(houses: Houses, n_agents: int) -> torch.Tensor:
+    """Return [house, agent, 2]: the plan's first starts, -1 for those to be drawn."""
+    starts = torch.full((len(houses.free), n_agents, 2), -1)
+    if houses.starts is not None:
+        given = torch.from_numpy(houses.starts)[:, :n_agents]
+        starts[:, : given.shape[1]] = given
+    return starts

@@ -1,0 +1,45 @@
+"""Who may talk to whom, as a transform (paper §3.4)."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Bool
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Binary, Bounded, TensorSpec
+
+from marl_clean import keys
+from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.transform import WorldTransform
+from marl_clean.world.sensing import distance_rank
+from marl_clean.world.state import State
+
+
+class Topology(WorldTransform):
+    """Adds who is in contact and who is nearest.
+
+    `("agents", "adjacency")`, bool `[*B, n, n]`: symmetric with a false diagonal.
+    `("agents", "distance_rank")`, int64 `[*B, n, n]`: 0 the robot itself, 1 the nearest, ...
+    """
+
+    @abstractmethod
+    def contact(self, state: State) -> Bool[Tensor, "env agent agent"]:
+        """Tell which robots are in contact."""
+
+    def read(
+        self, state: State, compiled: Callable[[Callable], Callable]
+    ) -> dict[NestedKey, Tensor]:
+        return {
+            keys.ADJACENCY: compiled(self.contact)(state),
+            keys.DISTANCE_RANK: compiled(distance_rank)(state.position),
+        }
+
+    def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:
+        shape = torch.Size([env.num_envs, env.n_agents, env.n_agents])
+        return {
+            keys.ADJACENCY: Binary(env.n_agents, shape, device=env.device, dtype=torch.bool),
+            keys.DISTANCE_RANK: Bounded(
+                0, max(env.n_agents - 1, 1), shape, device=env.device, dtype=torch.int64
+            ),
+        }

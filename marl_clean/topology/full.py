@@ -1,0 +1,15 @@
+"""`topology=full`."""
+
+from jaxtyping import Bool
+from torch import Tensor
+
+from marl_clean.topology.base import Topology
+from marl_clean.world.sensing import everyone
+from marl_clean.world.state import State
+
+
+class Full(Topology):
+    """Every robot talks to every other, always."""
+
+    def contact(self, state: State) -> Bool[Tensor, "env agent agent"]:
+        return everyone(state.position)

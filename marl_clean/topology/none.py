@@ -1,0 +1,16 @@
+"""`topology=none`."""
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from marl_clean.topology.base import Topology
+from marl_clean.world.sensing import everyone
+from marl_clean.world.state import State
+
+
+class Nobody(Topology):
+    """No robot ever talks to another."""
+
+    def contact(self, state: State) -> Bool[Tensor, "env agent agent"]:
+        return torch.zeros_like(everyone(state.position))

@@ -1,0 +1,25 @@
+"""`topology=radius`."""
+
+from jaxtyping import Bool
+from torch import Tensor
+
+from marl_clean.settings import OddInt, PositiveFloat
+from marl_clean.topology.base import Topology
+from marl_clean.world.sensing import in_radius
+from marl_clean.world.state import State
+
+
+class Radius(Topology):
+    """Robots talk within a Euclidean distance, through walls.
+
+    Args:
+        radius_cells: the largest distance between centres, in cells; null: half of the view.
+        view_size: side of the square that a robot sees.
+    """
+
+    def __init__(self, radius_cells: PositiveFloat | None = None, view_size: OddInt = 15) -> None:
+        super().__init__()
+        self.radius_cells = view_size // 2 if radius_cells is None else radius_cells
+
+    def contact(self, state: State) -> Bool[Tensor, "env agent agent"]:
+        return in_radius(state.position, self.radius_cells)

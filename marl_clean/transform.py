@@ -1,0 +1,74 @@
+"""What the transforms of `observation/` and `topology/` share: how they read the world."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec
+from torchrl.envs import Transform
+
+from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.world.state import State
+
+
+class WorldTransform(Transform):
+    """Adds keys that are computed from the state of a `CleaningEnv`.
+
+    The state is read by reference, from the env itself: a map published as a key would be copied
+    at every partial reset and recorded at every step of a rollout. After a partial reset only
+    the worlds that were reset are computed.
+    """
+
+    @property
+    def cleaning(self) -> CleaningEnv:
+        """The env whose state is read."""
+        return self.container.base_env
+
+    def compiled(self, function: Callable) -> Callable:
+        """Return `function`, compiled once where the env's `compile` setting says so."""
+        cache = self.__dict__.setdefault("_compiled_functions", {})
+        if function not in cache:
+            cache[function] = self.cleaning.compiled(function)
+        return cache[function]
+
+    @abstractmethod
+    def read(
+        self, state: State, compiled: Callable[[Callable], Callable]
+    ) -> dict[NestedKey, Tensor]:
+        """Compute the entries for all worlds of `state`; `compiled` wraps pure functions."""
+
+    @abstractmethod
+    def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:
+        """Return the spec of every entry that `read` gives."""
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        for key, value in self.read(self.cleaning.state, self.compiled).items():
+            next_tensordict.set(key, value)
+        return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        state = self.cleaning.state
+        mask = tensordict.get("_reset", None)
+        if mask is None or mask.all():
+            entries = self.read(state, self.compiled)
+        else:
+            rows = mask.view(-1).nonzero()[:, 0]
+            fresh = self.read(state.rows_of(rows), lambda function: function)
+            entries = {key: _spread(value, rows, len(mask)) for key, value in fresh.items()}
+        for key, value in entries.items():
+            tensordict_reset.set(key, value)
+        return tensordict_reset
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        for key, spec in self.specs(self.cleaning).items():
+            observation_spec[key] = spec
+        return observation_spec
+
+
+def _spread(value: Tensor, rows: Tensor, num_envs: int) -> Tensor:
+    """Put rows into a batch; TorchRL takes nothing but these rows from it."""
+    return value.new_empty((num_envs, *value.shape[1:])).index_copy_(0, rows, value)

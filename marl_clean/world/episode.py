@@ -1,0 +1,180 @@
+"""How an episode starts: a house, places to start from, what is known of it (paper §3.4)."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor
+
+from marl_clean.settings import HouseOrder, Knowledge, Memory, Sensor
+from marl_clean.world.dynamics import touch_
+from marl_clean.world.furniture import inside_house, shift_piece
+from marl_clean.world.random import Purpose, random_below, random_bits
+from marl_clean.world.rules import Rules
+from marl_clean.world.shared_map import MEMORISED_BLOCKED, MEMORISED_FREE, UNKNOWN_RECORD
+from marl_clean.world.state import State, cell_index
+
+
+class HouseTensors(NamedTuple):
+    """The houses episodes draw from, padded by `margin` blocked cells on every side."""
+
+    blocked: Bool[Tensor, "house height width"]
+    piece: Int[Tensor, "house height width"]  # int16
+    num_pieces: Int[Tensor, " house"]
+    rows: Int[Tensor, " house"]
+    cols: Int[Tensor, " house"]
+    free_cells: Int[Tensor, "house most"]  # indices into a matrix, padded with -1
+    num_free: Int[Tensor, " house"]
+    max_steps: Int[Tensor, " house"]
+    starts: Int[Tensor, "house agent 2"]  # (row, col) given by the plan, -1 where drawn
+
+
+class FurnitureMoves(NamedTuple):
+    """How often somebody moves furniture."""
+
+    during_episode: int = 0
+    before_start: int = 0  # after the robots memorised the house (`knowledge=stale`)
+
+
+def begin(
+    houses: HouseTensors,
+    env_index: Int[Tensor, " env"],
+    episode: Int[Tensor, " env"],
+    seed: int,
+    order: HouseOrder,
+    furniture: FurnitureMoves,
+    rules: Rules,
+) -> State:
+    """Return the worlds `env_index` at step 0 of their episodes, starts cleaned.
+
+    A pure function of (seed, env index, episode): no other world has a part in it.
+    """
+    num_houses, height, width = houses.blocked.shape
+    n_agents = houses.starts.shape[1]
+    if order is HouseOrder.FIXED:
+        house = env_index % num_houses
+    else:
+        house = random_below(num_houses, seed, env_index, episode, Purpose.HOUSE)
+    num_envs = len(house)
+    blocked, piece = houses.blocked[house], houses.piece[house]
+    num_maps = 1 if rules.memory is Memory.SHARED else n_agents
+    record = _memorised(houses, house, rules) if rules.knowledge is not Knowledge.UNKNOWN else None
+    if rules.knowledge is Knowledge.STALE:
+        moves = draw_furniture_moves(
+            houses, house, env_index, episode, seed, furniture.before_start, before_start=True
+        )
+        inside = inside_house(houses.rows[house], houses.cols[house], height, width, rules.margin)
+        for move in range(furniture.before_start):
+            blocked, piece = shift_piece(
+                blocked,
+                piece,
+                inside,
+                torch.zeros_like(blocked),
+                moves[:, move, 1],
+                moves[:, move, 2],
+            )
+    zeros = torch.zeros_like(house)
+    flags = torch.zeros((num_envs, n_agents), dtype=torch.bool, device=house.device)
+    state = State(
+        blocked=blocked,
+        piece=piece,
+        house=house,
+        rows=houses.rows[house],
+        cols=houses.cols[house],
+        num_free=houses.num_free[house],
+        max_steps=houses.max_steps[house],
+        furniture_moves=draw_furniture_moves(
+            houses, house, env_index, episode, seed, furniture.during_episode, before_start=False
+        ),
+        episode=episode,
+        step=zeros,
+        last_progress=zeros,
+        position=draw_starts(houses, house, blocked, env_index, episode, seed, rules),
+        record=torch.full((num_envs, num_maps, height, width), UNKNOWN_RECORD, device=house.device),
+        visited=torch.zeros_like(blocked),
+        num_visited=zeros + n_agents,
+        moved=flags,
+        bumped=flags,
+        collided=flags,
+        newly_cleaned=~flags,
+    )
+    if record is not None:
+        state.record[:] = record[:, None]
+    if rules.sensor is Sensor.TOUCH4:
+        touch_(state, rules)
+    _clean_starts_(state, rules)
+    return state
+
+
+def draw_starts(
+    houses: HouseTensors,
+    house: Int[Tensor, " env"],
+    blocked: Bool[Tensor, "env height width"],
+    env_index: Int[Tensor, " env"],
+    episode: Int[Tensor, " env"],
+    seed: int,
+    rules: Rules,
+) -> Int[Tensor, "env agent 2"]:
+    """Place the robots on distinct free cells: where the plan says, else drawn uniformly.
+
+    The n free cells with the highest random words; a word's low bits are the cell, so that no
+    two are equal and every batch shape sorts them alike.
+    """
+    width = blocked.shape[2]
+    n_agents = houses.starts.shape[1]
+    given = houses.starts[house]
+    given_cell = torch.where((given >= 0).all(-1), cell_index(given, rules.margin, width), -1)
+    cells = houses.free_cells[house]
+    if rules.knowledge is Knowledge.STALE:  # furniture has moved: the house's own list is stale too
+        cells = torch.arange(blocked[0].numel(), device=house.device).expand(len(house), -1)
+    drawn = random_bits(
+        seed, env_index[:, None], episode[:, None], Purpose.START, cells.clamp(min=0)
+    )
+    key = drawn * 2**31 + cells
+    usable = (cells >= 0) & ~blocked.flatten(1).gather(1, cells.clamp(min=0))
+    usable = usable & ~(cells[:, :, None] == given_cell[:, None, :]).any(-1)
+    best = torch.where(usable, key, -1).topk(n_agents, dim=1).values % 2**31
+    cell = torch.where(given_cell >= 0, given_cell, best)
+    return torch.stack([cell // width, cell % width], -1) - rules.margin
+
+
+def draw_furniture_moves(
+    houses: HouseTensors,
+    house: Int[Tensor, " env"],
+    env_index: Int[Tensor, " env"],
+    episode: Int[Tensor, " env"],
+    seed: int,
+    count: int,
+    before_start: bool,
+) -> Int[Tensor, "env move 3"]:
+    """Draw moves (step, piece, direction), uniform; in houses without furniture of piece 0.
+
+    Steps are from 1 to the number of free cells: the scale of the time that cleaning takes.
+    """
+    counter = torch.arange(count, device=house.device)[None, :] * 6 + 3 * before_start
+    words = (env_index[:, None], episode[:, None], Purpose.FURNITURE)
+    step = 1 + random_below(houses.num_free[house, None], seed, *words, counter)
+    piece = 1 + random_below(houses.num_pieces[house, None], seed, *words, counter + 1)
+    piece = torch.where(houses.num_pieces[house, None] > 0, piece, 0)
+    direction = random_below(4, seed, *words, counter + 2)
+    return torch.stack([step, piece, direction.expand_as(step)], -1)
+
+
+def _memorised(houses: HouseTensors, house: Int[Tensor, " env"], rules: Rules) -> Tensor:
+    """Return the map of robots that know the layout, ring included, and that all is dirty."""
+    _, height, width = houses.blocked.shape
+    free = ~houses.blocked[house]
+    known = torch.where(free, MEMORISED_FREE, MEMORISED_BLOCKED)
+    matrix = inside_house(
+        houses.rows[house] + 2, houses.cols[house] + 2, height, width, rules.margin - 1
+    )
+    return torch.where(matrix, known, UNKNOWN_RECORD)
+
+
+def _clean_starts_(state: State, rules: Rules) -> None:
+    num_envs, num_maps = state.record.shape[:2]
+    cell = cell_index(state.position, rules.margin, state.blocked.shape[2])
+    state.visited.flatten(1).scatter_(1, cell, True)
+    first = (state.step + 1).to(state.record.dtype)[:, None, None]
+    own_or_all = cell[:, None, :] if num_maps == 1 else cell[:, :, None]
+    state.record.flatten(2).scatter_(2, own_or_all, first.expand(own_or_all.shape).clone())
