@@ -129,12 +129,9 @@ class Recorder:
         for name in RATES:
             counts = self.counts[name].tolist()
             columns[name] = [
-                count / taken if taken else None
-                for count, taken in zip(counts, steps, strict=True)
+                count / taken if taken else None for count, taken in zip(counts, steps, strict=True)
             ]
-        return [
-            dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)
-        ]
+        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     def _times(self) -> dict[str, list[int | float | None]]:
         """T_q and T_certify, null where not reached, and each as a multiple of its bound."""
@@ -191,9 +188,7 @@ def step_counts(state: State, step: TensorDictBase) -> dict[str, Int[Tensor, " e
     }
 
 
-def certified(
-    state: State, entered: Bool[Tensor, "env agent cell"]
-) -> Bool[Tensor, " env"]:
+def certified(state: State, entered: Bool[Tensor, "env agent cell"]) -> Bool[Tensor, " env"]:
     """Tell where no unknown cell is a 4-neighbour of a cell some robot has stood on."""
     unknown = is_unknown(state.record).all(1)  # to every robot
     stood = entered.any(1).view_as(unknown)

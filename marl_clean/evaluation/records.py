@@ -1,0 +1,127 @@
+"""`evaluation.json`: what was measured house by house, and what it comes to.
+
+A list with one entry for each (policy, set of houses); `schema` is the version of this format,
+`world` that of the rules. Nothing here needs torch.
+"""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from marl_clean.errors import BadInput
+from marl_clean.evaluation.statistics import as_sample, estimate, iqm
+
+SCHEMA = 1
+WORLD = 0
+
+House = Mapping[str, Any]  # one house's record
+Entry = dict[str, Any]  # one policy on one set of houses
+
+TIMES = ("90", "95", "99", "100", "certify")
+MEASURES = (
+    *(f"T_{name}" for name in TIMES),
+    *(f"ratio_{name}" for name in TIMES),
+    *("coverage", "coverage_auc", "return", "redundancy", "overlap", "balance"),
+    *("bumps", "collisions", "contact", "messages", "edges", "bits"),
+)
+
+
+def make_entry(
+    policy: str,
+    house_set: str,
+    config_hash: str,
+    epsilon: float,
+    n_agents: int,
+    houses: Sequence[House],
+) -> Entry:
+    """One entry of evaluation.json, its summary worked out."""
+    return {
+        "schema": SCHEMA,
+        "world": WORLD,
+        "policy": policy,
+        "house_set": house_set,
+        "config_hash": config_hash,
+        "epsilon": epsilon,
+        "n_agents": n_agents,
+        "houses": [dict(house) for house in houses],
+        "summary": summarise([houses]),
+    }
+
+
+def summarise(runs: Sequence[Sequence[House]]) -> dict[str, dict[str, Any]]:
+    """Mean, interquartile mean and interval of every measure, and the share of houses with one.
+
+    `runs` are one policy's records over the same houses, once for each training seed. A time
+    that was not reached counts as the house's `max_steps` in mean, iqm and interval; `reached`
+    tells how many were. Where a measure has no value at all the numbers are null.
+    """
+    summary = {}
+    for measure in MEASURES:
+        if measure not in runs[0][0]:
+            continue  # T_certify is measured on demand
+        values = sample(runs, measure)
+        found = estimate(values)
+        summary[measure] = {
+            "mean": found.mean,
+            "iqm": iqm(values),
+            "ci95": None if found.ci95 is None else list(found.ci95),
+            "reached": share_reached(runs, measure),
+        }
+    return summary
+
+
+def sample(runs: Sequence[Sequence[House]], measure: str) -> Float[np.ndarray, "run house"]:
+    """A measure's values as they enter means; NaN where there is none, as for a bound of 0."""
+    return as_sample([[counted(house, measure) for house in run] for run in runs])
+
+
+def share_reached(runs: Sequence[Sequence[House]], measure: str) -> float:
+    """The share of houses in which a measure is not null."""
+    return float(np.mean([house[measure] is not None for run in runs for house in run]))
+
+
+def counted(house: House, measure: str) -> float | None:
+    """One house's value as it enters means: a time that was not reached is `max_steps`."""
+    kind, _, name = measure.partition("_")
+    if house[measure] is not None or kind not in ("T", "ratio"):
+        return house[measure]
+    if kind == "T":
+        return house["max_steps"]
+    bound = house[f"bound_{name}"]
+    return house["max_steps"] / bound if bound else None
+
+
+def write_entries(path: Path, entries: Sequence[Entry]) -> None:
+    """Write evaluation.json whole or not at all: under another name first, then renamed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with unfinished.open("w", encoding="utf-8") as file:
+            json.dump(list(entries), file, indent=1, allow_nan=False)
+            file.write("\n")
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def read_entries(path: Path) -> list[Entry]:
+    """The entries of an evaluation.json. Raises BadInput when it is none, or of another version."""
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise BadInput(f"{path}: is not JSON; an evaluation.json is valid") from error
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise BadInput(f"{path}: is not a list of entries; an evaluation.json is valid")
+    for entry in entries:
+        if entry.get("schema") != SCHEMA:
+            raise BadInput(f"{path}: schema {entry.get('schema')}, only {SCHEMA} is valid")
+    return entries
