@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import partial
 from itertools import product
-from typing import Literal
+from typing import Any, Literal
 
 from marl_clean.settings import Assignment, Cases, Decay, Knowledge, Memory, ObstaclePay, Sensor
 
@@ -638,8 +638,8 @@ def ratio(steps: int | None, bound: int | None) -> Fraction | None:
     return Fraction(steps, bound) if steps is not None and bound else None
 
 
-def measures(episode: Episode) -> dict[str, int | Fraction | float | None]:
-    """Every measure of one house; all but T_certify stop at T_100 or the end."""
+def measures(episode: Episode) -> dict[str, Any]:
+    """Every measure of one house, None where null; all but T_certify stop at T_100 or the end."""
 
     def first(states: Iterable[bool]) -> int | None:
         return next((step for step, holds in enumerate(states) if holds), None)
