@@ -15,11 +15,13 @@ LARGEST_SIDE = 4096  # rows or columns, in pixels or cells
 def find_plan(path: str, shipped: Path, suffixes: tuple[str, ...]) -> Path:
     """The file at `path`, relative to the working directory, or the shipped plan of that name.
 
-    Raises BadInput for no such file, or one whose name ends on none of `suffixes`.
+    Of shipped plans of one name, the one with the first of `suffixes`. Raises BadInput for no
+    such file, or one whose name ends on none of `suffixes`.
     """
     file = Path(path)
     if not is_file(file):
-        names = {each.stem: each for each in sorted(shipped.iterdir()) if each.suffix in suffixes}
+        kinds = [shipped.glob(f"*{suffix}") for suffix in reversed(suffixes)]
+        names = {each.stem: each for kind in kinds for each in kind}
         if path in names:
             return names[path]
         raise BadInput(f"house.path: no file {path!r}; {_nearest(file, suffixes, list(names))}")
@@ -59,9 +61,7 @@ def read_lines(file: Path) -> list[bytes]:
     for number, line in enumerate(lines, start=1):
         if not line.isascii():
             column = next(index for index, byte in enumerate(line, start=1) if byte > 127)
-            raise BadInput(
-                f"{file}, line {number}, column {column}: a character that is not ASCII"
-            )
+            raise BadInput(f"{file}, line {number}, column {column}: not an ASCII character")
     return lines
 
 

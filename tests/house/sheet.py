@@ -1,4 +1,4 @@
-"""A sheet of houses as one picture, to judge by eye: `python tests/house/sheet.py OUT.png`."""
+"""A sheet of houses as one picture, to judge by eye: `python -m tests.house.sheet OUT.png`."""
 
 import sys
 

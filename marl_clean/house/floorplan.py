@@ -1,0 +1,82 @@
+"""A house from a floor plan file: map_server, MovingAI or a plain image."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, final
+
+import numpy as np
+
+from marl_clean.errors import BadInput
+from marl_clean.floorplan_readers import read_image, read_map_server, read_movingai
+from marl_clean.house.base import House, Plan
+from marl_clean.plan_files import find_plan
+from marl_clean.settings import PositiveFloat
+
+SHIPPED = Path(__file__).parent / "plans"
+MAP_SERVER, MOVINGAI = (".yaml", ".yml"), (".map",)
+IMAGES = (".png", ".pgm", ".ppm", ".pbm", ".bmp", ".jpg", ".jpeg")
+SUFFIXES = MAP_SERVER + MOVINGAI + IMAGES
+
+
+@final
+@dataclass(frozen=True)
+class FloorPlan(House):
+    """A plan from a file, its kind known by its suffix; without furniture, as scans show none.
+
+    `.yaml`, `.yml`: map_server, cut into cells of `cell_metres`. `.map`: MovingAI, a character a
+    cell. An image: free from grey 128 on, a pixel a cell, or with `pixel_metres` cut into cells
+    of `cell_metres`. `path` is relative to the working directory, or the name of a shipped plan.
+    `starts` are (row, col) of robots; their region is the house, else the largest one.
+
+    Raises BadInput: no path, no such file, one that cannot be read, a start on no free cell.
+    """
+
+    generated: ClassVar[bool] = False
+
+    path: str | None
+    cell_metres: PositiveFloat = 0.4
+    pixel_metres: PositiveFloat | None = None
+    starts: list[list[int]] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.path:
+            raise BadInput(
+                f"house.path: null; valid: apartment (shipped), or a file on {', '.join(SUFFIXES)}"
+            )
+        for key in ("cell_metres", "pixel_metres"):
+            metres = getattr(self, key)
+            if metres is not None and not (math.isfinite(metres) and metres > 0):
+                raise BadInput(f"house.{key}: {metres} is not a length above 0")
+
+    def plan(self, seed: int = 0, draw: int = 0) -> Plan:
+        """The file's plan, for every seed."""
+        path = str(self.path)
+        free = self._read(find_plan(path, SHIPPED, SUFFIXES))
+        return Plan(
+            free=free,
+            furniture=np.zeros(free.shape, dtype=np.int16),
+            starts=self._starts(free),
+            source=path,
+        )
+
+    def _read(self, file: Path) -> np.ndarray:
+        suffix = file.suffix.lower()
+        if suffix in MAP_SERVER:
+            return read_map_server(file, self.cell_metres)
+        if suffix in MOVINGAI:
+            return read_movingai(file)
+        return read_image(file, self.cell_metres, self.pixel_metres)
+
+    def _starts(self, free: np.ndarray) -> tuple[tuple[int, int], ...] | None:
+        starts: list[tuple[int, int]] = []
+        rows, cols = free.shape
+        for place in self.starts or []:
+            inside = len(place) == 2 and 0 <= place[0] < rows and 0 <= place[1] < cols
+            if not inside or not free[place[0], place[1]] or (place[0], place[1]) in starts:
+                raise BadInput(
+                    f"house.starts: {list(place)} is blocked, outside the {rows} x {cols} cells "
+                    "or given twice; valid: [row, col] of free cells"
+                )
+            starts.append((place[0], place[1]))
+        return tuple(starts) or None
