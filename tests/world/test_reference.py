@@ -372,6 +372,11 @@ class TestFurniture:
         moving.step([DOWN])
         assert moving.furniture[0] == [1, 0, 0]
 
+    def test_robots_touch_what_the_moves_left(self) -> None:
+        moving = world("0.A.", "....", moves=[(1, 1, LEFT)], sensor=Sensor.TOUCH4)
+        moving.step([UP])
+        assert moving.map_of(0)[(0, 1)] == Record(True, written=1)
+
     def test_moves_of_one_step_apply_in_list_order(self) -> None:
         both = [(1, 2, RIGHT), (1, 1, RIGHT)]
         ordered, reverse = world("AB.", "..0", moves=both), world("AB.", "..0", moves=both[::-1])
