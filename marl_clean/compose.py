@@ -51,13 +51,13 @@ def compose_config(overrides: Sequence[str] = ()) -> DictConfig:
     return checked(resolved(_composed(parsed)), parsed)
 
 
-def sweep_jobs(overrides: Sequence[str]) -> list[list[str]]:
-    """The overrides of each job of a sweep: every combination of the values given.
+def sweep_jobs(parsed: Sequence[Override]) -> list[list[str]]:
+    """The settings of each job of a sweep: every combination of the values given.
 
     Raises BadInput on a range that has no end, such as `interval(0, 1)`.
     """
-    alternatives = []
-    for override in parse_overrides(overrides, hydra_too=True):
+    alternatives: dict[str, list[str]] = {}  # of one key given twice the later counts
+    for override in parsed:
         key = override.get_key_element()
         if override.is_discrete_sweep():
             values = list(override.sweep_string_iterator())
@@ -65,8 +65,8 @@ def sweep_jobs(overrides: Sequence[str]) -> list[list[str]]:
             raise BadInput(f"{key}: a sweep needs a list of values, such as {key}=1,2,3")
         else:
             values = [override.get_value_element_as_str()]
-        alternatives.append([f"{key}={value}" for value in values])
-    return [list(job) for job in product(*alternatives)]
+        alternatives[key] = [f"{key}={value}" for value in values]
+    return [list(job) for job in product(*alternatives.values())]
 
 
 def config_hash(config: DictConfig) -> str:

@@ -21,6 +21,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from omegaconf import DictConfig, OmegaConf
 from pydantic import TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
@@ -53,8 +54,12 @@ def parameters(target: str) -> dict[str, Parameter]:
 
     Raises BadInput when `target` is no class of this package.
     """
-    source, name = _locate(target)
-    return _of_class(source, name)
+    return _of_class(*_locate(target))
+
+
+def definition(target: str) -> ast.ClassDef:
+    """The class statement of `target`. Raises BadInput when it is no class of this package."""
+    return _class_in(*_locate(target))
 
 
 def problems_of_level(section: Mapping[str, Any], key: str, room: str) -> Iterator[Problem]:
@@ -110,20 +115,21 @@ def convert(value: Any, annotation: Any) -> Any:
     return _adapter(annotation).validate_json(json.dumps(value), strict=True)
 
 
-def instantiate(section: Mapping[str, Any], **parts: Any) -> Any:
-    """What a section describes: its `_target_`, called with its values and `parts`.
+def instantiate(section: DictConfig, **parts: Any) -> Any:
+    """What a section describes: its `_target_`, called with its values and with `parts`.
 
-    Values arrive in the types that the constructor declares (an Enum, not its name).
+    Values arrive as what the constructor declares: an Enum for its name, a list for a list.
+    A part of the same name takes a value's place.
     """
-    target = section["_target_"]
+    values = OmegaConf.to_container(section, resolve=True)
+    assert isinstance(values, dict)
+    target = str(values.pop("_target_"))
     accepted = parameters(target)
-    values = {
-        name: convert(value, accepted[name].annotation)
-        for name, value in section.items()
-        if name != "_target_"
+    converted = {
+        str(name): convert(value, accepted[str(name)].annotation) for name, value in values.items()
     }
     module, _, name = target.rpartition(".")
-    return getattr(importlib.import_module(module), name)(**values, **parts)
+    return getattr(importlib.import_module(module), name)(**{**converted, **parts})
 
 
 def choices(word: str, valid: Iterable[str]) -> str:
@@ -197,15 +203,19 @@ def _locate(target: str) -> tuple[Path, str]:
 
 
 @cache
-def parse(source: Path) -> ast.Module:
+def _parse(source: Path) -> ast.Module:
     """The syntax tree of one of the package's files."""
     return ast.parse(source.read_text(encoding="utf-8"))
 
 
 def _of_class(source: Path, name: str) -> dict[str, Parameter]:
-    for node in parse(source).body:
+    return _of_definition(source, _class_in(source, name))
+
+
+def _class_in(source: Path, name: str) -> ast.ClassDef:
+    for node in _parse(source).body:
         if isinstance(node, ast.ClassDef) and node.name == name:
-            return _of_definition(source, node)
+            return node
     raise BadInput(f"marl_clean/{source.relative_to(PACKAGE)} has no class {name}")
 
 
@@ -245,7 +255,7 @@ def _of_fields(node: ast.ClassDef) -> Iterator[tuple[str, Parameter]]:
 
 def _import_of(source: Path, name: str) -> tuple[Path, str] | None:
     """Where a class that `source` imports from this package is defined."""
-    for node in parse(source).body:
+    for node in _parse(source).body:
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("marl_clean."):
             if any(alias.name == name for alias in node.names):
                 return _locate(f"{node.module}.{name}")

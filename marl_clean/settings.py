@@ -133,6 +133,7 @@ class Root(TypedDict):
     """The config's keys outside of every room."""
 
     seed: Seed
+    train_houses: Annotated[int, Field(ge=1, le=1_000_000)]
     device: Device
     name: FolderName | None
     checkpoint: str | None

@@ -1,0 +1,30 @@
+"""What a config asks of files, before torch is imported: its floor plan, its folders."""
+
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from marl_clean.errors import BadInput
+from marl_clean.house.base import draw_houses, split_seeds
+from marl_clean.schema import instantiate
+
+
+def check_house(config: DictConfig) -> None:
+    """Draw one house as training and evaluation will.
+
+    Raises BadInput for a plan that cannot be read, has no free cell or fewer than robots, and
+    for sizes that allow no house.
+    """
+    house = instantiate(config.house)
+    draw_houses(house, split_seeds("test", 1), config.env.n_agents)
+
+
+def check_out(path: Path) -> None:
+    """Raises BadInput when no file can be written at `path`."""
+    if path.is_dir():
+        raise BadInput(f"out={path}: is a folder; give a file's name, such as {path}/out.json")
+    for parent in path.parents:
+        if parent.exists():
+            if not parent.is_dir():
+                raise BadInput(f"out={path}: {parent} is not a folder; give another file")
+            return

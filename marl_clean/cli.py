@@ -1,0 +1,203 @@
+"""`marl-clean COMMAND [key=value ...]`: one thin function a command.
+
+The config is composed and checked first; only then is torch imported. Exit codes: 0 done, 1
+`doctor` found something, 2 bad input (one line on stderr), 130 interrupted, 143 terminated.
+"""
+
+import argparse
+import os
+import signal
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, NoReturn
+
+from marl_clean import __version__
+from marl_clean.errors import BadInput
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+BAD_INPUT, INTERRUPTED, TERMINATED = 2, 128 + signal.SIGINT, 128 + signal.SIGTERM
+
+
+def train(arguments: argparse.Namespace) -> int:
+    """train a policy and evaluate it on held-out houses; the same command again resumes"""
+    if arguments.multirun:
+        from marl_clean import sweep
+
+        sweep.run(arguments.settings)
+        return 0
+    from marl_clean.compose import compose_config
+    from marl_clean.stored import RUNS, check_same_run
+
+    config = _checked(compose_config(arguments.settings))
+    check_same_run(config, RUNS / config.name)
+    from marl_clean import train as command
+
+    command.main(config, RUNS / config.name)
+    return 0
+
+
+def evaluate(arguments: argparse.Namespace) -> int:
+    """measure checkpoint=RUN or planner=NAME on held-out houses or on a plan"""
+    from marl_clean.checks import check_out
+    from marl_clean.stored import RUNS, compose_for_policy
+
+    config = _checked(compose_for_policy(arguments.settings))
+    out = Path(config.out or RUNS / "evaluate" / config.name / "evaluation.json")
+    check_out(out)
+    from marl_clean import evaluate as command
+
+    command.main(config, out)
+    return 0
+
+
+def watch(arguments: argparse.Namespace) -> int:
+    """play one house in the terminal with checkpoint=RUN or planner=NAME"""
+    from marl_clean.stored import compose_for_policy
+
+    config = _checked(compose_for_policy(arguments.settings))
+    from marl_clean import watch as command
+
+    command.main(config)
+    return 0
+
+
+def figure(arguments: argparse.Namespace) -> int:
+    """draw a figure, such as paper_1, into runs/figures"""
+    from marl_clean.stored import compose_for_policy
+
+    if "=" in arguments.name:
+        raise BadInput(f"figure: {arguments.name!r} is a setting; name a figure before it")
+    config = _checked(compose_for_policy(arguments.settings))
+    from marl_clean import figure as command
+
+    command.main(arguments.name, config)
+    return 0
+
+
+def benchmark(arguments: argparse.Namespace) -> int:
+    """measure speed, into runs/benchmark.json"""
+    from marl_clean.compose import compose_config
+
+    config = _checked(compose_config(arguments.settings))
+    from marl_clean import benchmark as command
+
+    command.main(config)
+    return 0
+
+
+def list_levels(arguments: argparse.Namespace) -> int:
+    """the rooms and their levels, a line each"""
+    from marl_clean.listing import lines
+
+    _write(lines())
+    return 0
+
+
+def doctor(arguments: argparse.Namespace) -> int:
+    """what is installed, what is missing, how to mend it"""
+    from marl_clean.doctor import findings
+
+    found = list(findings())
+    width = max(len(finding.what) for finding in found)
+    _write(
+        f"{finding.what:{width}}  {finding.state}" + (f"  -> {finding.mend}" * bool(finding.mend))
+        for finding in found
+    )
+    return int(any(finding.mend for finding in found))
+
+
+COMMANDS = {
+    "train": train,
+    "evaluate": evaluate,
+    "watch": watch,
+    "figure": figure,
+    "benchmark": benchmark,
+    "list": list_levels,
+    "doctor": doctor,
+}
+WITHOUT_SETTINGS = ("list", "doctor")
+USAGE = """\
+marl-clean COMMAND [key=value ...]
+
+{commands}
+
+Settings are Hydra overrides: `comm=none` takes another level of a room, `env.n_agents=4` sets a
+key, `+experiment=NAME` takes a preset; `train -m seed=0,1,2` runs every combination. `marl-clean
+list` shows what there is; `marl-clean COMMAND --help` shows one command.
+"""
+
+
+class Parser(argparse.ArgumentParser):
+    """An ArgumentParser whose complaints are BadInput like all others."""
+
+    def error(self, message: str) -> NoReturn:
+        raise BadInput(f"{message}; `{self.prog} --help` shows what is valid")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    before = signal.signal(signal.SIGTERM, _terminate)
+    try:
+        code = _run(sys.argv[1:] if argv is None else argv)
+        sys.stdout.flush()
+        return code
+    except BadInput as error:
+        sys.stderr.write(f"marl-clean: {' '.join(str(error).split())}\n")
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader of our output, such as `head`, has left
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _run(argv: Sequence[str]) -> int:
+    name = argv[0] if argv else "--help"
+    if name in ("-h", "--help"):
+        _write([_usage()])
+        return 0
+    if name == "--version":
+        _write([__version__])
+        return 0
+    if name not in COMMANDS:
+        from marl_clean.schema import choices
+
+        raise BadInput(f"{name}: no such command; {choices(name, COMMANDS)}")
+    return COMMANDS[name](_parser(name).parse_intermixed_args(argv[1:]))
+
+
+def _parser(name: str) -> Parser:
+    parser = Parser(prog=f"marl-clean {name}", description=COMMANDS[name].__doc__)
+    if name == "figure":
+        parser.add_argument("name", metavar="NAME", help="the figure, such as paper_1")
+    if name == "train":
+        parser.add_argument("-m", "--multirun", action="store_true", help="all combinations")
+    if name not in WITHOUT_SETTINGS:
+        parser.add_argument("settings", metavar="key=value", nargs="*", help="Hydra overrides")
+    return parser
+
+
+def _usage() -> str:
+    commands = (f"  {name:10} {run.__doc__}" for name, run in COMMANDS.items())
+    return USAGE.format(commands="\n".join(commands))
+
+
+def _checked(config: "DictConfig") -> "DictConfig":
+    from marl_clean.checks import check_house
+
+    check_house(config)
+    return config
+
+
+def _terminate(signum: int, frame: FrameType | None) -> NoReturn:
+    raise SystemExit(TERMINATED)
+
+
+def _write(lines: Iterable[str]) -> None:
+    sys.stdout.write("".join(f"{line}\n" for line in lines))

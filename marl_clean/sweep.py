@@ -1,0 +1,69 @@
+"""`train -m`: every combination of the settings is a job, handed to one of Hydra's launchers."""
+
+from collections.abc import Sequence
+
+from hydra import initialize_config_dir
+from hydra._internal.callbacks import Callbacks
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.types import Override
+from hydra.core.plugins import Plugins
+from hydra.types import HydraContext, RunMode
+from omegaconf import DictConfig
+
+from marl_clean.checks import check_house
+from marl_clean.compose import (
+    checked,
+    compose_config,
+    conf_folder,
+    config_hash,
+    parse_overrides,
+    resolved,
+    sweep_jobs,
+)
+from marl_clean.stored import RUNS, check_same_run
+
+
+def run(overrides: Sequence[str]) -> None:
+    """Check every job's config, then run them all, one folder a job.
+
+    Raises BadInput before the first job starts, and afterwards what the first failed job raised.
+    """
+    parsed = parse_overrides(overrides, hydra_too=True)
+    jobs = named_jobs([override for override in parsed if not override.is_hydra_override()])
+    launcher_settings = [o.input_line or "" for o in parsed if o.is_hydra_override()]
+    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+        hydra = GlobalHydra.instance().hydra
+        assert hydra is not None
+        config = hydra.compose_config("config", launcher_settings, run_mode=RunMode.MULTIRUN)
+        launcher = Plugins.instance().instantiate_launcher(
+            hydra_context=HydraContext(hydra.config_loader, Callbacks(config)),
+            task_function=train_job,
+            config=config,
+        )
+        for job in launcher.launch(jobs, initial_job_idx=0):
+            _ = job.return_value  # raises what the job raised
+
+
+def named_jobs(parsed: Sequence[Override]) -> list[list[str]]:
+    """The settings of each distinct job, its name among them.
+
+    A job is named after its config, so the same command again finds the same folders; a given
+    name becomes the folder of the whole sweep. Raises BadInput when a job's config is wrong.
+    """
+    jobs = {}
+    for job in sweep_jobs(parsed):
+        config = compose_config(job)
+        if any(setting.startswith("name=") for setting in job):
+            config.name = f"{config.name}/{config_hash(config)[:8]}"
+        check_house(config)
+        check_same_run(config, RUNS / config.name)
+        jobs[config.name] = [*job, f"name={config.name}"]
+    return list(jobs.values())
+
+
+def train_job(config: DictConfig) -> None:
+    """One job of a sweep, in whatever process its launcher chose."""
+    from marl_clean import train
+
+    config = checked(resolved(config))
+    train.main(config, RUNS / config.name)
