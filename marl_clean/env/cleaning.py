@@ -155,7 +155,7 @@ class CleaningEnv(EnvBase):
         self.compile_functions = compile
         self._houses = house_tensors(houses, n_agents, max_steps, margin, self.device)
         self._moves = torch.tensor(MOVES, device=self.device)
-        self._env_index = torch.arange(first_env, first_env + num_envs, device=self.device)
+        self.env_index = torch.arange(first_env, first_env + num_envs, device=self.device)
         self._advance = self.compiled(advance)
         self._make_specs()
         self._set_seed(seed)
@@ -190,7 +190,7 @@ class CleaningEnv(EnvBase):
     def _begin(self, rows: Tensor, episode: Tensor) -> State:
         return begin(
             self._houses,
-            self._env_index[rows],
+            self.env_index[rows],
             episode,
             self.seed_in_use,
             self.house_order,

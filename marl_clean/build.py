@@ -1,0 +1,66 @@
+"""From a config to live objects: the one place where the rooms are put together."""
+
+import torch
+from hydra.utils import instantiate
+from omegaconf import DictConfig
+from torchrl.envs import Compose, RewardSum, TransformedEnv
+
+from marl_clean import keys
+from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.house.base import Houses, draw_bank, draw_houses, split_seeds
+from marl_clean.planner.base import Planner
+from marl_clean.settings import HouseOrder
+
+
+def training_houses(cfg: DictConfig) -> Houses:
+    """Draw the distinct houses that training episodes are played in."""
+    return draw_bank(instantiate(cfg.house), cfg.train_houses, cfg.env.n_agents)
+
+
+def held_out_houses(cfg: DictConfig, split: str, count: int) -> Houses:
+    """Draw the first `count` houses of the validation or test split; a plan is one house."""
+    return draw_houses(instantiate(cfg.house), split_seeds(split, count), cfg.env.n_agents)
+
+
+def make_env(
+    cfg: DictConfig,
+    houses: Houses | None = None,
+    *,
+    num_envs: int | None = None,
+    house_order: HouseOrder = HouseOrder.RANDOM,
+    never_stuck: bool = False,
+) -> TransformedEnv:
+    """Put env, topology, observation and reward together.
+
+    Args:
+        cfg: a composed config.
+        houses: the houses to play in; null: the training houses.
+        num_envs: instead of `cfg.env.num_envs`.
+        house_order: whether episodes draw their house, or env i plays house i.
+        never_stuck: without truncation when nothing new is cleaned, as evaluation plays.
+    """
+    topology = instantiate(cfg.topology)
+    observation = instantiate(cfg.observation)
+    changes: dict = {"stuck_after": None} if never_stuck else {}
+    if num_envs is not None:
+        changes["num_envs"] = num_envs
+    env = instantiate(cfg.env, _partial_=True)(
+        training_houses(cfg) if houses is None else houses,
+        margin=max(1, observation.view_size // 2),
+        house_order=house_order,
+        contact=topology.contact,
+        seed=cfg.seed,
+        device=torch.device(cfg.device),
+        **changes,
+    )
+    episode_reward = RewardSum(in_keys=[keys.REWARD], out_keys=[keys.EPISODE_REWARD])
+    return TransformedEnv(
+        env, Compose(topology, observation, instantiate(cfg.reward), episode_reward)
+    )
+
+
+def make_planner(cfg: DictConfig, env: TransformedEnv) -> Planner:
+    """Build the scripted policy and bind it to the env that it plans for."""
+    planner = instantiate(cfg.planner)
+    assert isinstance(planner, Planner) and isinstance(env.base_env, CleaningEnv)
+    return planner.bind(env.base_env)

@@ -1,0 +1,15 @@
+"""`planner=random`: the floor under every table."""
+
+from jaxtyping import Int
+from torch import Tensor
+
+from marl_clean.planner.base import Planner
+
+
+class Random(Planner):
+    """Each robot takes one of the four actions, uniformly."""
+
+    label = "random"
+
+    def act(self) -> Int[Tensor, "env agent"]:
+        return self.random_action()
