@@ -34,6 +34,7 @@ FRESH = 0.5  # the map's value of a cell cleaned this very step (paper §3.2)
 SUPERSAMPLE = 3  # drawn this many times larger, then averaged down: smooth discs and lines
 MARGIN, GAP, TITLE, CAPTION = 14, 22, 22, 34  # pixels
 CAPTION_WIDTH = 300  # pixels the caption needs, whatever the house's width
+FRAME = 2  # pixels around each panel
 SMALLEST_DISC = 13  # pixels; below this a robot's number cannot be read
 
 
@@ -94,6 +95,9 @@ def draw(scene: Scene, cell_pixels: int = 24) -> UInt8[np.ndarray, "height width
     page = np.full((layout.height, layout.width, 3), PAGE, dtype=np.uint8)
     for panel, colours in enumerate((house_colours(scene), map_colours(scene.values))):
         top, left = layout.corner(panel)
+        frame = slice(top - FRAME, None), slice(left - FRAME, None)  # a house may end without walls
+        height, width = rows * cell_pixels + 2 * FRAME, cols * cell_pixels + 2 * FRAME
+        page[frame][:height, :width] = WALL
         cells = _with_grid(colours.repeat(cell_pixels, 0).repeat(cell_pixels, 1), cell_pixels)
         page[top : top + cells.shape[0], left : left + cells.shape[1]] = cells
     large = Image.fromarray(page).resize(

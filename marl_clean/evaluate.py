@@ -1,0 +1,30 @@
+"""`marl-clean evaluate`: any policy on any houses, into evaluation.json and a table."""
+
+from pathlib import Path
+
+from omegaconf import DictConfig
+from rich.console import Console
+
+from marl_clean import build
+from marl_clean.evaluation.evaluator import measure_beside_planners, measure_planner
+from marl_clean.evaluation.records import Entry, write_entries
+from marl_clean.evaluation.table import make_table
+from marl_clean.stored import find_run
+
+
+def main(cfg: DictConfig, out: Path, console: Console | None = None) -> list[Entry]:
+    """Measure `cfg.checkpoint`'s policy beside the planners, or without one `cfg.planner`.
+
+    Writes the entries to `out`, the policy asked for first, and prints them as a table.
+    Raises BadInput where the checkpoint's weights cannot be used.
+    """
+    if cfg.checkpoint is None:
+        entries = [measure_planner(cfg)]
+    else:
+        policy = build.load_policy(find_run(cfg.checkpoint)).to(cfg.device)
+        entries = measure_beside_planners(cfg, policy, cfg.name)
+    write_entries(out, entries)
+    console = console or Console()
+    console.print(make_table(entries))
+    console.print(f"written to {out}", soft_wrap=True)
+    return entries

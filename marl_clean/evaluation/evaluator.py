@@ -1,0 +1,174 @@
+"""Any policy on held-out houses: house i is environment i, from the same starts for every policy.
+
+Nothing here draws from a global generator, so measuring in the middle of a training run does
+not change what the run learns.
+"""
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+
+import torch
+from hydra.utils import instantiate
+from jaxtyping import Bool, Int
+from omegaconf import DictConfig
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+
+from marl_clean import build
+from marl_clean.compose import compose_config, config_hash
+from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.evaluation.metrics import Record, Recorder
+from marl_clean.evaluation.records import Entry, make_entry
+from marl_clean.house.base import Houses
+from marl_clean.keys import ACTION, MESSAGE_BITS
+from marl_clean.planner.base import Planner
+from marl_clean.settings import HouseOrder
+from marl_clean.world.random import Purpose, random_below, random_bits
+
+PolicyFor = Callable[[TransformedEnv], nn.Module]  # a planner is bound to its env, a network is not
+
+START_SEED = 0  # of the starts in held-out houses, whatever the run's own seed
+CELLS_AT_ONCE = 4_000_000  # bounds the memory to some hundred MB
+YARDSTICKS = (
+    ["planner=random"],
+    ["planner=nearest_unknown"],
+    ["planner=nearest_unknown", "planner.assignment=greedy"],
+)
+
+
+def evaluate(
+    cfg: DictConfig,
+    policy_for: PolicyFor,
+    *,
+    house_set: str,
+    count: int,
+    epsilon: float = 0.0,
+    certify: bool = False,
+) -> list[Record]:
+    """Play the first `count` houses of a split once each; a loaded plan is started as often.
+
+    Returns one record a house, with its seed or path: every measure, its bounds and its size.
+    `epsilon` is the share of random actions, drawn for each robot.
+    """
+    houses = build.held_out_houses(cfg, house_set, count)
+    cells = houses.free.shape[1] * houses.free.shape[2]
+    at_once = max(1, CELLS_AT_ONCE // cells)
+    records = []
+    for first in range(0, count, at_once):
+        num_envs = min(at_once, count - first)
+        chunk = houses if len(houses) == 1 else some_houses(houses, slice(first, first + num_envs))
+        env = build.make_env(
+            cfg, chunk, num_envs=num_envs, house_order=HouseOrder.FIXED, never_stuck=True
+        )
+        env.set_seed(START_SEED + first)
+        records += [
+            {source_key(source): source, **record}
+            for source, record in zip(
+                chunk.sources * (num_envs // len(chunk)),
+                play(env, policy_for(env), epsilon, certify),
+                strict=True,
+            )
+        ]
+    return records
+
+
+def measure(cfg: DictConfig, policy_for: PolicyFor, name: str, *, epsilon: float = 0.0) -> Entry:
+    """One entry of evaluation.json: a policy on the houses that `cfg.evaluation` asks for."""
+    section = cfg.evaluation
+    records = evaluate(
+        cfg,
+        policy_for,
+        house_set=section.house_set,
+        count=section.houses,
+        epsilon=epsilon,
+        certify=section.certify,
+    )
+    house_set = str(records[0].get("path", section.house_set))
+    return make_entry(name, house_set, config_hash(cfg), epsilon, cfg.env.n_agents, records)
+
+
+def measure_planner(cfg: DictConfig) -> Entry:
+    """The entry of `cfg.planner`, under the name it gives itself; planners do not explore."""
+    name = instantiate(cfg.planner).label
+    return measure(cfg, lambda env: build.make_planner(cfg, env), name)
+
+
+def measure_beside_planners(cfg: DictConfig, policy: nn.Module, name: str) -> list[Entry]:
+    """A learned policy, then random and nearest_unknown (none, greedy) on the same houses."""
+    entries = [measure(cfg, lambda env: policy, name, epsilon=cfg.evaluation.epsilon)]
+    for overrides in YARDSTICKS:
+        rival = cfg.copy()
+        rival.planner = compose_config(overrides).planner
+        entries.append(measure_planner(rival))
+    return entries
+
+
+def play(env: TransformedEnv, policy: nn.Module, epsilon: float, certify: bool) -> list[Record]:
+    """One episode in every environment, greedily but for `epsilon`; its records in their order."""
+    training = policy.training
+    policy.eval()
+    try:
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            td = env.reset()
+            recorder = Recorder(env.base_env, certify)
+            while recorder.playing.any():
+                td = act(policy, td, recorder.playing)
+                if epsilon > 0:
+                    td[ACTION] = with_random_actions(env.base_env, td[ACTION], epsilon)
+                td = env.step(td)
+                recorder.update(td)
+                td = step_mdp(td)
+    finally:
+        policy.train(training)
+    return recorder.records()
+
+
+def act(policy: nn.Module, td: TensorDictBase, playing: Bool[Tensor, " env"]) -> TensorDictBase:
+    """Ask a network about the houses that still play only; the others get action 0.
+
+    A planner reads its env and plans for all of them.
+    """
+    if isinstance(policy, Planner) or playing.all():
+        return policy(td)
+    some = policy(td[playing])
+    for key in (ACTION, MESSAGE_BITS):
+        value = some.get(key, None)  # not every policy sends messages
+        if value is not None:
+            td[key] = value.new_zeros((len(playing), *value.shape[1:]))
+            td[key][playing] = value
+    return td
+
+
+def with_random_actions(
+    env: CleaningEnv, action: Int[Tensor, "env agent"], epsilon: float
+) -> Int[Tensor, "env agent"]:
+    """Replace each robot's action with probability epsilon by one of the four.
+
+    A pure function of (seed, env, episode, step, robot), like all draws of the world.
+    """
+    state = env.state
+    words = (
+        env.seed_in_use,
+        env.env_index[:, None],
+        state.episode[:, None],
+        Purpose.ACTION,
+        state.step[:, None],
+        torch.arange(state.n_agents, device=action.device),
+    )
+    explores = random_bits(*words, 0) < round(epsilon * 2**32)
+    return torch.where(explores, random_below(4, *words, 1), action)
+
+
+def some_houses(houses: Houses, which: slice) -> Houses:
+    """A part of a stack of houses."""
+    parts = {field.name: getattr(houses, field.name) for field in fields(houses)}
+    return replace(
+        houses, **{name: part[which] for name, part in parts.items() if part is not None}
+    )
+
+
+def source_key(source: int | str) -> str:
+    """What a house's origin is called in its record."""
+    return "seed" if isinstance(source, int) else "path"

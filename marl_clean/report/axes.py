@@ -1,0 +1,68 @@
+"""Houses and maps on Matplotlib axes, as vectors, in the viewer's colours."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from jaxtyping import UInt8
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from marl_clean.viewer import INK, PAGE, Colour, Place, robot_colour
+
+STYLE: Any = {  # Matplotlib types its keys by a list of all of them
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "svg.fonttype": "none",  # text stays text
+    "svg.hashsalt": "marl-clean",  # the same figure gives the same file
+}
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """A figure of so many inches, laid out by itself and never shown on a screen."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def draw_cells(axes: Axes, colours: UInt8[np.ndarray, "row col 3"]) -> None:
+    """A colour a cell, row 0 on top, cells square."""
+    rows, cols, _ = colours.shape
+    axes.pcolormesh(
+        np.arange(cols + 1), np.arange(rows + 1), colours / 255, edgecolors="face", linewidth=0.2
+    )
+    axes.set(xlim=(0, cols), ylim=(rows, 0), aspect="equal", xticks=[], yticks=[])
+    for spine in axes.spines.values():
+        spine.set(visible=True, color=unit(INK), linewidth=0.8)
+
+
+def draw_robots(axes: Axes, positions: Sequence[Place], first: int = 0) -> None:
+    """Numbered discs, as in every other picture; `first` is the number of the first less one."""
+    for robot, (row, col) in enumerate(positions, start=first):
+        axes.add_patch(
+            matplotlib.patches.Circle(
+                (col + 0.5, row + 0.5), 0.42, facecolor=unit(robot_colour(robot)), zorder=3
+            )
+        )
+        axes.text(
+            col + 0.5, row + 0.53, str(robot + 1),
+            color=unit(PAGE), fontsize=6.5, ha="center", va="center_baseline", zorder=4,
+        )  # fmt: skip
+
+
+def unit(colour: Colour) -> tuple[float, float, float]:
+    """A colour as Matplotlib wants it."""
+    red, green, blue = colour
+    return red / 255, green / 255, blue / 255
+
+
+def save_figure(figure: Figure, stem: Path) -> list[Path]:
+    """Write `stem`.svg and `stem`.png; the same figure gives the same bytes."""
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    paths = [stem.with_name(f"{stem.name}.{kind}") for kind in ("svg", "png")]
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(paths[0], metadata={"Date": None})
+        figure.savefig(paths[1], dpi=200)
+    return paths

@@ -1,0 +1,59 @@
+"""One episode as scenes, for whatever shows them: a GIF, the terminal, a figure."""
+
+from collections.abc import Iterator
+
+import torch
+from omegaconf import DictConfig
+from tensordict import TensorDictBase
+from torchrl.envs import TransformedEnv
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+
+from marl_clean import build
+from marl_clean.env.scene import scene_of
+from marl_clean.evaluation.evaluator import START_SEED, PolicyFor, with_random_actions
+from marl_clean.keys import ACTION, ADJACENCY, DONE
+from marl_clean.settings import HouseOrder
+from marl_clean.stored import find_run
+from marl_clean.viewer import Scene
+
+
+def policy_of(cfg: DictConfig) -> PolicyFor:
+    """The policy that a command is asked to show: `cfg.checkpoint`'s, else `cfg.planner`."""
+    if cfg.checkpoint is None:
+        return lambda env: build.make_planner(cfg, env)
+    policy = build.load_policy(find_run(cfg.checkpoint)).to(cfg.device)
+    return lambda env: policy
+
+
+def held_out_env(cfg: DictConfig) -> TransformedEnv:
+    """The first held-out house alone, started as in an evaluation."""
+    houses = build.held_out_houses(cfg, cfg.evaluation.house_set, 1)
+    env = build.make_env(cfg, houses, num_envs=1, house_order=HouseOrder.FIXED, never_stuck=True)
+    env.set_seed(START_SEED)
+    return env
+
+
+def frames(
+    env: TransformedEnv, policy_for: PolicyFor, epsilon: float = 0.0
+) -> Iterator[TensorDictBase]:
+    """The tensordicts of one episode of a single house, from the reset to the last step.
+
+    They share the env's state: read what is needed before asking for the next.
+    """
+    policy = policy_for(env)
+    policy.eval()
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        td = env.reset()
+        yield td
+        while not td[DONE].all():
+            td = policy(td)
+            td[ACTION] = with_random_actions(env.base_env, td[ACTION], epsilon)
+            td = step_mdp(env.step(td))
+            yield td
+
+
+def scenes(env: TransformedEnv, policy_for: PolicyFor, epsilon: float = 0.0) -> Iterator[Scene]:
+    """Every moment of one episode, from step 0 to the end."""
+    base = env.base_env
+    for td in frames(env, policy_for, epsilon):
+        yield scene_of(base.state, base.rules, 0, td[ADJACENCY])

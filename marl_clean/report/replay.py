@@ -1,0 +1,95 @@
+"""`replay.gif`: one episode, the truth beside the robots' map."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from omegaconf import DictConfig
+from PIL import Image
+
+from marl_clean.evaluation.evaluator import PolicyFor
+from marl_clean.report.episode import held_out_env, scenes
+from marl_clean.viewer import Scene, draw
+
+MAX_BYTES = 2_000_000
+MOST_FRAMES = 256  # also bounds the memory: they are all held until their palette is known
+COLOURS = 64
+FRAME_MILLISECONDS = 100
+LAST_FRAME_MILLISECONDS = 2_500  # time to read the end before it starts again
+PANEL_PIXELS = 320  # the longer side of a panel, about
+LARGEST_CELL = 24  # pixels
+
+
+def make_replay(cfg: DictConfig, policy_for: PolicyFor, path: Path, epsilon: float = 0.0) -> None:
+    """Play the first held-out house of `cfg` and write it to `path` as a GIF below 2 MB."""
+    write_gif(path, scenes(held_out_env(cfg), policy_for, epsilon))
+
+
+def write_gif(path: Path, moments: Iterable[Scene], max_bytes: int = MAX_BYTES) -> None:
+    """Write the moments as a GIF; of many, or where it grows too large, every k-th of them.
+
+    The first and the last are always shown. The file appears whole or not at all.
+    """
+    pictures = coded(drawn(moments))
+    unfinished = path.with_name(f".{path.name}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    stride = 1
+    while True:
+        shown = [*pictures[:-1:stride], pictures[-1]]
+        size = save(unfinished, shown)
+        if size <= max_bytes or len(shown) <= 2:
+            break
+        stride = max(stride + 1, -(-stride * size // max_bytes))
+    unfinished.replace(path)
+
+
+def drawn(moments: Iterable[Scene]) -> list[Image.Image]:
+    """The first moment's picture, every k-th after it, and the last; k grows as they come."""
+    pictures: list[Image.Image] = []
+    stride = 1
+    left_out = None  # the newest moment, where it has no picture
+    for index, scene in enumerate(moments):
+        left_out = scene if index % stride else None
+        if left_out is None:
+            pictures.append(picture_of(scene))
+        if len(pictures) > MOST_FRAMES:
+            pictures, stride = pictures[::2], 2 * stride
+    return pictures if left_out is None else [*pictures, picture_of(left_out)]
+
+
+def picture_of(scene: Scene) -> Image.Image:
+    """One frame, its cells as large as fits a usual width."""
+    return Image.fromarray(draw(scene, cell_pixels(*scene.free.shape)))
+
+
+def cell_pixels(rows: int, cols: int) -> int:
+    """The side of a cell: the longer side of a panel has about PANEL_PIXELS."""
+    return min(max(PANEL_PIXELS // max(rows, cols), 1), LARGEST_CELL)
+
+
+def coded(pictures: Sequence[Image.Image]) -> list[Image.Image]:
+    """The pictures in one palette, so that colours do not flicker.
+
+    Undithered, so that only what changed is stored.
+    """
+    width, height = pictures[0].size
+    samples = [pictures[0], pictures[len(pictures) // 2], pictures[-1]]
+    mosaic = Image.new("RGB", (width, height * len(samples)))
+    for index, picture in enumerate(samples):
+        mosaic.paste(picture, (0, height * index))
+    undithered = Image.Dither.NONE
+    palette = mosaic.quantize(COLOURS, method=Image.Quantize.MEDIANCUT, dither=undithered)
+    return [picture.quantize(palette=palette, dither=undithered) for picture in pictures]
+
+
+def save(path: Path, pictures: Sequence[Image.Image]) -> int:
+    """Write a GIF that starts again at its end, and return its bytes."""
+    pictures[0].save(
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=pictures[1:],
+        duration=[FRAME_MILLISECONDS] * (len(pictures) - 1) + [LAST_FRAME_MILLISECONDS],
+        loop=0,
+        optimize=False,
+    )
+    return path.stat().st_size
