@@ -27,6 +27,7 @@ from marl_clean.plan_files import LARGEST_SIDE, is_file, read_bytes, read_lines
 IMAGE_FORMATS = ("PNG", "PPM", "BMP", "JPEG")
 LARGEST_YAML_BYTES = 16 * 2**10
 DEEPEST_YAML = 3
+STRIP_ROWS = 256
 MAP_SERVER_KEYS = ("image", "resolution", "origin", "occupied_thresh", "free_thresh", "negate")
 WHITE = 3 * 255  # a shade is red + green + blue, so that grey g / 255 is exactly shade / WHITE
 FREE_FROM_GREY = 128
@@ -121,18 +122,21 @@ def to_cells(
             "see house.cell_metres"
         )
     free, occupied = free[::-1], occupied[::-1]  # from the bottom row up
-    if step < 1:
+    if step <= 1:
         under = np.ix_(_pixels_under_centres(rows, step), _pixels_under_centres(cols, step))
         return (free[under] & ~occupied[under])[::-1]
-    *bottoms, top = _first_pixels(rows + 1, step)
+    bottoms = np.array(_first_pixels(rows + 1, step))
     *lefts, right = _first_pixels(cols + 1, step)
-    free, occupied = free[:top, :right], occupied[:top, :right]
-    num_free = np.add.reduceat(free, bottoms, axis=0, dtype=np.int64)
-    num_free = np.add.reduceat(num_free, lefts, axis=1)
-    blocked = np.logical_or.reduceat(occupied, bottoms, axis=0)
-    blocked = np.logical_or.reduceat(blocked, lefts, axis=1)
-    num_pixels = np.outer(np.diff([*bottoms, top]), np.diff([*lefts, right]))
-    return ((2 * num_free >= num_pixels) & ~blocked)[::-1]
+    cells = np.empty((rows, cols), dtype=bool)
+    strip = max(1, int(STRIP_ROWS // step))
+    for first in range(0, rows, strip):  # a strip at a time, for memory
+        edges = bottoms[first : first + strip + 1]
+        part = slice(edges[0], edges[-1]), slice(right)
+        # Free pixels vote 1, others -1, and one that is occupied outvotes all.
+        votes = np.where(occupied[part], -free.size, np.where(free[part], 1, -1))
+        votes = np.add.reduceat(votes, edges[:-1] - edges[0], axis=0)
+        cells[first : first + strip] = np.add.reduceat(votes, lefts, axis=1) >= 0
+    return cells[::-1]
 
 
 def read_pixels(file: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -170,11 +174,20 @@ def _one_line(file: Path) -> Iterator[None]:
 def _shade(image: Image.Image) -> tuple[np.ndarray, np.ndarray]:
     if image.mode == "F":
         raise ValueError("an image of floats")
+    width, height = image.size
     if image.mode.startswith("I"):  # 16 bits
         grey = np.asarray(image).astype(np.int64).clip(0, 65535)
         return (grey * WHITE // 65535).astype(np.uint16), np.ones(grey.shape, dtype=bool)
-    colours = np.asarray(image.convert("RGBA"))
-    return colours[..., :3].sum(axis=2, dtype=np.uint16), colours[..., 3] == 255
+    shade = np.empty((height, width), dtype=np.uint16)
+    opaque = np.empty((height, width), dtype=bool)
+    for top in range(0, height, STRIP_ROWS):  # four bytes a pixel only for a strip at a time
+        strip = slice(top, min(top + STRIP_ROWS, height))
+        part = image.crop((0, strip.start, width, strip.stop)).convert("RGBA")
+        red, green, blue, alpha = np.moveaxis(np.asarray(part), 2, 0)
+        np.add(red, green, out=shade[strip], dtype=np.uint16)
+        shade[strip] += blue
+        np.equal(alpha, 255, out=opaque[strip])
+    return shade, opaque
 
 
 def _first_pixels(count: int, step: Fraction) -> list[int]:

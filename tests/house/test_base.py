@@ -69,7 +69,7 @@ def cells_of(free: np.ndarray) -> list[tuple[int, int]]:
     return [(int(row), int(col)) for row, col in np.argwhere(free)]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(PLANS)
 def test_without_starts_the_largest_region_stays_the_first_of_equals(free: np.ndarray) -> None:
     plan = Plan(free, np.zeros(free.shape, np.int16), None, "a plan")
@@ -82,7 +82,7 @@ def test_without_starts_the_largest_region_stays_the_first_of_equals(free: np.nd
     assert set(cells_of(keep_region(plan).free)) == expected
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(PLANS, st.data())
 def test_with_starts_their_region_stays_or_they_are_bad(free: np.ndarray, data) -> None:
     if not free.any():

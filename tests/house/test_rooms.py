@@ -1,6 +1,8 @@
 """Generated houses: bounds, connection, doors, furniture, determinism, and how much is free."""
 
 import inspect
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,34 +15,36 @@ from marl_clean.errors import BadInput
 from marl_clean.house.base import draw_houses
 from marl_clean.house.open import Open
 from marl_clean.house.rooms import FREE, WALL, Box, Rooms, _fits
-from tests.house.conftest import ROOT
 
+ROOT = Path(__file__).parents[2]
 SEEDS = st.integers(0, 3_000_000)
 WITHOUT_FURNITURE = [10_000, 10_000]
 RANGES = st.tuples(st.integers(3, 16), st.integers(0, 5)).map(lambda pair: [pair[0], sum(pair)])
 
 
-@st.composite
-def houses(draw: st.DrawFn) -> Rooms:
-    low = st.integers(1, 4)
-    return Rooms(
-        rows=draw(RANGES),
-        cols=draw(RANGES),
-        smallest_room=draw(low),
-        largest_room=draw(st.integers(1, 60)),
-        divide=draw(st.floats(0, 1)),
-        doors=sorted([draw(low), draw(low)]),
-        cells_per_piece=sorted([draw(low), draw(st.integers(1, 20))]),
-        piece_sides=sorted([draw(low), draw(low)]),
-        against_wall=draw(st.floats(0, 1)),
-    )
+SMALL = st.integers(1, 4)
+ORDERED = st.tuples(SMALL, SMALL).map(sorted)
+LAYOUTS = st.fixed_dictionaries(
+    {
+        "rows": RANGES,
+        "cols": RANGES,
+        "smallest_room": SMALL,
+        "largest_room": st.integers(1, 60),
+        "divide": st.floats(0, 1),
+        "doors": ORDERED,
+        "cells_per_piece": st.tuples(SMALL, st.integers(1, 20)).map(sorted),
+        "piece_sides": ORDERED,
+        "against_wall": st.floats(0, 1),
+    }
+)
 
 
-@settings(max_examples=200, deadline=None)
-@given(houses(), SEEDS)
+@settings(max_examples=100, deadline=None)
+@given(LAYOUTS, SEEDS)
 def test_any_house_is_walled_connected_and_furnished_with_rectangles(
-    house: Rooms, seed: int
+    layout: dict[str, Any], seed: int
 ) -> None:
+    house = Rooms(**layout)
     plan = house.plan(seed)
     rows, cols = plan.free.shape
     assert house.rows[0] <= rows <= house.rows[1] and house.cols[0] <= cols <= house.cols[1]
@@ -57,18 +61,13 @@ def test_any_house_is_walled_connected_and_furnished_with_rectangles(
         assert max(plan.furniture[box].shape) <= house.piece_sides[1]
 
 
-@settings(max_examples=200, deadline=None)
-@given(houses(), SEEDS)
-def test_rooms_are_rectangles_joined_by_doors_one_cell_wide(house: Rooms, seed: int) -> None:
-    bare = Rooms(
-        house.rows,
-        house.cols,
-        smallest_room=max(house.smallest_room, 2),
-        largest_room=house.largest_room,
-        divide=house.divide,
-        doors=house.doors,
-        cells_per_piece=WITHOUT_FURNITURE,
-    )
+@settings(max_examples=100, deadline=None)
+@given(LAYOUTS, SEEDS)
+def test_rooms_are_rectangles_joined_by_doors_one_cell_wide(
+    layout: dict[str, Any], seed: int
+) -> None:
+    layout["smallest_room"] = max(layout["smallest_room"], 2)
+    bare = Rooms(**(layout | {"cells_per_piece": WITHOUT_FURNITURE}))
     free = np.pad(bare.plan(seed).free, 1)
     if min(free.shape) - 4 < bare.smallest_room:
         return  # one corridor, all of which looks like doors
@@ -94,8 +93,9 @@ def test_odd_shapes(rows: int, cols: int) -> None:
 
 
 @settings(max_examples=50, deadline=None)
-@given(houses(), SEEDS)
-def test_a_house_is_a_function_of_seed_and_draw(house: Rooms, seed: int) -> None:
+@given(LAYOUTS, SEEDS)
+def test_a_house_is_a_function_of_seed_and_draw(layout: dict[str, Any], seed: int) -> None:
+    house = Rooms(**layout)
     first, again = house.plan(seed), house.plan(seed)
     np.testing.assert_array_equal(first.free, again.free)
     np.testing.assert_array_equal(first.furniture, again.furniture)
