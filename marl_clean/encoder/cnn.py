@@ -1,0 +1,109 @@
+"""Convolutions into fully connected layers: what a robot makes of the square it sees."""
+
+import math
+from itertools import pairwise
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from marl_clean.errors import BadInput
+from marl_clean.settings import NonNegativeInt, PositiveInt, Probability
+from marl_clean.world.rules import BLOCKED_VALUE, CLEANED_VALUE, ROBOT_VALUE, UNKNOWN_VALUE
+
+
+def spread_codes(
+    observation: Float[Tensor, "*batch channel row col"],
+) -> Float[Tensor, "*batch plane row col"]:
+    """Spread the map's codes over four planes, so that no weight has to tell -0.2 from 0.2.
+
+    The planes are blocked, unknown, dirt and robots: 1 where the code says so, else 0. Dirt is
+    `1 - 2 v` of an available cell: 0 just cleaned, 1 dirty. The codes are constants, so comparing
+    them exactly is right. Only the first channel is a map; others follow the planes unchanged.
+    The result is laid out channels last.
+    """
+    code, further = observation[..., 0, :, :], observation[..., 1:, :, :]
+    available = (code >= 0) & (code <= CLEANED_VALUE)
+    out = code.new_empty(*code.shape, 4 + further.shape[-3])  # three times as fast as a stack
+    out[..., 0] = code == BLOCKED_VALUE
+    out[..., 1] = code == UNKNOWN_VALUE
+    out[..., 2] = torch.where(available, 1 - code / CLEANED_VALUE, 0.0)
+    out[..., 3] = code == ROBOT_VALUE
+    out[..., 4:] = further.movedim(-3, -1)
+    return out.movedim(-1, -3)
+
+
+class Cnn(nn.Module):
+    """Turn each robot's square of the map into a feature vector (paper §3.4, figure 3).
+
+    Convolutions, each followed by a ReLU, lead into fully connected layers, each followed by a
+    ReLU and, if asked for, dropout. All robots share the weights.
+
+    Args:
+        observation_shape: (channel, K, K) of one robot's observation.
+        channels: output channels of each convolution.
+        kernel_size: side of each convolution's window.
+        strides: stride of each convolution.
+        padding: cells of zeros put around the input of each convolution.
+        hidden: width of each fully connected layer; the last is the feature's.
+        dropout: share of hidden units dropped while learning.
+        planes: spread the map's codes over four planes first, see `spread_codes`.
+        channels_last: memory format of the convolutions; faster on a CPU, the same result.
+
+    Raises:
+        BadInput: lists of different lengths, or a square too small for the convolutions.
+    """
+
+    def __init__(
+        self,
+        observation_shape: torch.Size,
+        channels: list[PositiveInt],
+        kernel_size: PositiveInt,
+        strides: list[PositiveInt],
+        padding: NonNegativeInt,
+        hidden: list[PositiveInt],
+        dropout: Probability,
+        planes: bool,
+        channels_last: bool,
+    ) -> None:
+        super().__init__()
+        if len(channels) != len(strides):
+            raise BadInput(
+                f"encoder.strides: {len(strides)} strides for {len(channels)} convolutions;"
+                " give one for each of encoder.channels"
+            )
+        self.planes = planes
+        self.memory_format = torch.channels_last if channels_last else torch.contiguous_format
+        in_channels, *sides = observation_shape
+        depths = pairwise([in_channels + 3 * planes, *channels])
+        convolutions: list[nn.Module] = []
+        for (before, after), stride in zip(depths, strides, strict=True):
+            convolutions += [
+                nn.Conv2d(before, after, kernel_size, stride, padding),
+                nn.ReLU(inplace=True),
+            ]
+            sides = [(side + 2 * padding - kernel_size) // stride + 1 for side in sides]
+        if min(sides) < 1:
+            raise BadInput(
+                f"encoder.channels: a view of {observation_shape[-1]} is too small for"
+                f" {len(channels)} convolutions; use fewer, smaller strides or more padding"
+            )
+        self.convolutions = nn.Sequential(*convolutions)
+        self.convolutions.to(memory_format=self.memory_format)  # type: ignore[call-overload]
+        widths = [channels[-1] * math.prod(sides), *hidden]
+        connected: list[nn.Module] = []
+        for before, after in pairwise(widths):
+            connected += [nn.Linear(before, after), nn.ReLU(inplace=True)]
+            connected += [nn.Dropout(dropout)] if dropout else []
+        self.connected = nn.Sequential(*connected)
+        self.out_features = widths[-1]
+
+    def forward(
+        self, observation: Float[Tensor, "*batch agent channel row col"]
+    ) -> Float[Tensor, "*batch agent feature"]:
+        """Return one feature vector a robot, from its own observation alone."""
+        square = observation.flatten(0, -4)
+        if self.planes:
+            square = spread_codes(square)
+        image = self.convolutions(square.contiguous(memory_format=self.memory_format))
+        return self.connected(image.flatten(1)).unflatten(0, observation.shape[:-3])

@@ -1,0 +1,35 @@
+"""Compile the network of every comm level in one graph and compare it with itself uncompiled.
+
+A script of its own, because the run-time checks of the tests cannot be compiled.
+"""
+
+from pathlib import Path
+
+import torch
+from omegaconf import OmegaConf
+
+from marl_clean.agent.base import QNetwork
+from marl_clean.schema import instantiate
+
+CONF = Path(__file__).parents[2] / "conf"
+
+
+def main() -> None:
+    observation = torch.tensor([-1.0, -0.2, 0.0, 0.3, 1.0])[torch.randint(5, (2, 3, 1, 15, 15))]
+    live = torch.tensor([[[0, 1, 0], [1, 0, 0], [0, 0, 0]]] * 2, dtype=torch.bool)
+    rank = torch.tensor([[[0, 1, 2], [1, 0, 2], [2, 1, 0]]] * 2)
+    for level in sorted((CONF / "comm").glob("*.yaml")):
+        encoder = instantiate(
+            OmegaConf.load(CONF / "encoder" / "cnn.yaml"), observation_shape=torch.Size([1, 15, 15])
+        )
+        comm = instantiate(OmegaConf.load(level), in_features=encoder.out_features)
+        network = QNetwork(encoder, comm, dueling=True, precision="float32")
+        compiled = torch.compile(network, fullgraph=True, backend="aot_eager")
+        for mine, theirs in zip(
+            network(observation, live, rank), compiled(observation, live, rank), strict=True
+        ):
+            torch.testing.assert_close(mine, theirs)
+
+
+if __name__ == "__main__":
+    main()

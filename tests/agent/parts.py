@@ -1,0 +1,101 @@
+"""Small networks and random frames for the tests of learners."""
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from marl_clean import keys
+from marl_clean.agent.iql import Iql
+from marl_clean.comm.base import Comm
+from marl_clean.comm.none import Silent
+from marl_clean.comm.plan import Plan
+from marl_clean.encoder.cnn import Cnn
+
+CODES = torch.tensor([-1.0, -0.2, 0.0, 0.3, 0.5, 1.0])
+SIDE = 9
+
+
+def make_encoder(side: int = SIDE, **changes) -> Cnn:
+    settings = {
+        "channels": [6, 8],
+        "kernel_size": 3,
+        "strides": [2, 2],
+        "padding": 1,
+        "hidden": [24],
+        "dropout": 0.0,
+        "planes": True,
+        "channels_last": True,
+    }
+    torch.manual_seed(0)
+    return Cnn(torch.Size([1, side, side]), **(settings | changes))
+
+
+def make_comm(level: str, encoder: Cnn) -> Comm:
+    torch.manual_seed(1)
+    if level == "none":
+        return Silent(encoder.out_features)
+    return Plan(
+        encoder.out_features,
+        message_dim=32,
+        hidden=24,
+        received=16,
+        combine="ordered",
+        max_neighbours=3,
+    )
+
+
+def make_agent(comm: str = "plan", side: int = SIDE, encoder: Cnn | None = None, **changes) -> Iql:
+    settings = {
+        "double": True,
+        "dueling": True,
+        "n_steps": 3,
+        "gamma": 0.9,
+        "lr": 1e-3,
+        "loss": "smooth_l1",
+        "max_grad_norm": 10.0,
+        "target_update": "soft",
+        "tau": 0.1,
+        "target_period": 3,
+        "eps_init": 1.0,
+        "eps_end": 0.05,
+        "annealing_fraction": 0.5,
+        "precision": "float32",
+        "augment": False,
+    }
+    encoder = encoder or make_encoder(side)
+    torch.manual_seed(2)
+    return Iql(encoder, make_comm(comm, encoder), **(settings | changes))
+
+
+def frames(count: int, n_agents: int = 2, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+    """Observations, adjacency and distance ranks."""
+    draw = torch.Generator().manual_seed(seed)
+    observation = CODES[torch.randint(6, (count, n_agents, 1, SIDE, SIDE), generator=draw)]
+    live = (torch.rand(count, n_agents, n_agents, generator=draw) < 0.5).triu(1)
+    rank = (torch.arange(n_agents)[None] - torch.arange(n_agents)[:, None]) % n_agents
+    return observation, live | live.mT, rank.expand(count, -1, -1).contiguous()
+
+
+def transitions(count: int, n_agents: int = 2, seed: int = 0) -> TensorDict:
+    """A batch of frames as the replay gives it: every ending, n-step windows of 1 to 3."""
+    draw = torch.Generator().manual_seed(seed)
+    terminated = torch.rand(count, 1, generator=draw) < 0.3
+    done = terminated | (torch.rand(count, 1, generator=draw) < 0.3)
+    now, then = frames(count, n_agents, seed), frames(count, n_agents, seed + 1)
+    seen = ("observation", "adjacency", "distance_rank")
+    action = torch.randint(4, (count, n_agents), generator=draw)
+    reward = torch.randn(count, n_agents, 1, generator=draw)
+    agents = dict(zip(seen, now, strict=True)) | {"action": action}
+    later = dict(zip(seen, then, strict=True)) | {"reward": reward}
+    shape = [count, n_agents]
+    return TensorDict(
+        {
+            keys.AGENTS: TensorDict(agents, shape),
+            "next": TensorDict(
+                {keys.AGENTS: TensorDict(later, shape), "done": done, "terminated": terminated},
+                [count],
+            ),
+            keys.STEPS_TO_NEXT_OBS: torch.randint(1, 4, (count,), generator=draw),
+        },
+        [count],
+    )
