@@ -7,14 +7,17 @@ constructors' signatures, and what is wrong becomes one line.
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
 from typing import Any, get_type_hints
 
 from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
+from hydra.initialize import get_gh_backup, restore_gh_from_backup
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -177,21 +180,35 @@ def _problems_of_evaluation(section: Any) -> Iterator[schema.Problem]:
         yield schema.Problem("evaluation", "must be a section; set its keys one by one")
 
 
+@contextmanager
+def own_hydra() -> Iterator[None]:
+    """Hydra with our config folder, also inside somebody else's Hydra program or sweep."""
+    theirs = get_gh_backup()
+    GlobalHydra.instance().clear()
+    try:
+        with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+            yield
+    finally:
+        restore_gh_from_backup(theirs)
+
+
 def _composed(parsed: Sequence[Override]) -> DictConfig:
     """Hydra's composition. Raises BadInput that names the key Hydra stumbled over."""
-    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+    with own_hydra():
         try:
             return compose("config", [o.input_line or "" for o in parsed])
         except HydraException as error:
-            groups = [o.input_line or "" for o in parsed if o.key_or_group in _groups()]
-            known = _container(compose("config", groups))
-            for key in (o.key_or_group for o in parsed if o.input_line not in groups):
-                if key not in set(_keys(known)):
-                    raise BadInput(_unknown(key, known)) from None
-            sections = [o.key_or_group for o in parsed if isinstance(o.value(), dict)]
-            if sections:
-                raise BadInput(f"{sections[0]}: set the keys of a section one by one") from None
-            raise BadInput(_first_line(error)) from error
+            raise BadInput(_why_not(parsed, error)) from None
+
+
+def _why_not(parsed: Sequence[Override], error: HydraException) -> str:
+    groups = [o.input_line or "" for o in parsed if o.key_or_group in _groups()]
+    known = _container(compose("config", groups))
+    for key in (o.key_or_group for o in parsed if o.input_line not in groups):
+        if key not in set(_keys(known)):
+            return _unknown(key, known)
+    sections = [o.key_or_group for o in parsed if isinstance(o.value(), dict)]
+    return f"{sections[0]}: set a section's keys one by one" if sections else _first_line(error)
 
 
 def _groups() -> dict[str, list[str]]:

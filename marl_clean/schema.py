@@ -15,7 +15,7 @@ import json
 import re
 import types
 import typing
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -112,7 +112,7 @@ def convert(value: Any, annotation: Any) -> Any:
 
     JSON mode is what makes pydantic strict and yet accept what yaml can say.
     """
-    return _adapter(annotation).validate_json(json.dumps(value), strict=True)
+    return _validator(annotation)(json.dumps(value), strict=True)
 
 
 def instantiate(section: DictConfig, **parts: Any) -> Any:
@@ -187,8 +187,8 @@ def _limits(part: Any) -> Iterator[str]:
 
 
 @cache
-def _adapter(annotation: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(annotation)
+def _validator(annotation: Any) -> Callable[..., Any]:
+    return TypeAdapter(annotation).validate_json
 
 
 def _locate(target: str) -> tuple[Path, str]:

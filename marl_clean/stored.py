@@ -79,8 +79,6 @@ def check_same_run(config: DictConfig, folder: Path) -> None:
     """Raises BadInput when `folder` holds a run of another config, naming a key that differs."""
     if not (folder / CONFIG).is_file():
         return
-    if any(override.key_or_group == "experiment" for override in parsed):
-        raise BadInput("experiment: a checkpoint brings its own config; leave one of them out")
     stored = load_config(folder)
     mine = {str(key): value for key, value in config.items()}
     if config_hash(DictConfig(stored)) == config_hash(config):

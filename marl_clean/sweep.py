@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from hydra import initialize_config_dir
 from hydra._internal.callbacks import Callbacks
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.types import Override
@@ -14,8 +13,8 @@ from marl_clean.checks import check_house
 from marl_clean.compose import (
     checked,
     compose_config,
-    conf_folder,
     config_hash,
+    own_hydra,
     parse_overrides,
     resolved,
     sweep_jobs,
@@ -31,7 +30,7 @@ def run(overrides: Sequence[str]) -> None:
     parsed = parse_overrides(overrides, hydra_too=True)
     jobs = named_jobs([override for override in parsed if not override.is_hydra_override()])
     launcher_settings = [o.input_line or "" for o in parsed if o.is_hydra_override()]
-    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+    with own_hydra():
         hydra = GlobalHydra.instance().hydra
         assert hydra is not None
         config = hydra.compose_config("config", launcher_settings, run_mode=RunMode.MULTIRUN)

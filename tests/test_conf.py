@@ -1,0 +1,121 @@
+"""The house rules that hold the listings together: conf/ and rooms, imports and floors."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+from marl_clean import compose, schema
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "marl_clean"
+CONF = ROOT / "conf"
+LEVELS = sorted(path for path in CONF.glob("*/*.yaml") if path.parent.name != "experiment")
+
+# Rooms that hold nothing but levels; env/ is a workroom that has one.
+ROOMS = sorted({path.parent.name for path in LEVELS} - {"env"})
+
+# What code hands to a constructor although yaml could say it.
+HANDED_OVER = {"margin", "house_order", "first_env", "seed", "device"}
+
+FLOORS = [
+    {"errors", "keys", "settings", "schema", "safe_yaml", "plan_files", "viewer", "symmetry"}
+    | {"world"},
+    {"house", "floorplan_readers"},
+    {"env"},
+    {"transform", "observation", "topology", "reward", "encoder", "comm", "channel"},
+    {"agent", "planner"},
+    {"trainer", "evaluation", "report", "logger", "checkpoint", "build", "compose", "stored"},
+]
+FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
+TOP = len(FLOORS)
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+
+def imports(source: Path) -> Iterator[str]:
+    """The full names of what a file imports, inside functions too."""
+    for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def floor_and_room(dotted: str) -> tuple[int, str]:
+    """The floor of `marl_clean.<room>...`; what no floor lists belongs to the commands."""
+    room = dotted.split(".")[1]
+    return FLOOR.get(room, TOP), room
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("path", LEVELS, ids=name_of)
+def test_a_yaml_belongs_to_the_file_of_its_name(path: Path) -> None:
+    section = yaml.safe_load(path.read_text())
+    assert section["_target_"].startswith(f"marl_clean.{path.parent.name}.{path.stem}.")
+    assert schema.definition(section["_target_"])
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_level_has_a_yaml(room: str) -> None:
+    files = {path.stem for path in (PACKAGE / room).glob("*.py")} - {"__init__", "base"}
+    assert files == {path.stem for path in (CONF / room).glob("*.yaml")}
+
+
+@pytest.mark.parametrize("path", LEVELS, ids=name_of)
+def test_keys_are_the_parameters_of_the_constructor(path: Path) -> None:
+    section = yaml.safe_load(path.read_text())
+    accepted = set(schema.parameters(section["_target_"]))
+    assert set(section) - {"_target_"} == accepted - HANDED_OVER
+
+
+@pytest.mark.parametrize("path", [*LEVELS, CONF / "config.yaml"], ids=name_of)
+def test_every_key_is_explained(path: Path) -> None:
+    ours = path.read_text().partition("\nhydra:")[0].splitlines()
+    keys = [line for line in ours if re.match(r"\s*(- )?\w+: \S", line)]
+    assert [key for key in keys if " # " not in key and "_target_" not in key] == []
+
+
+@pytest.mark.parametrize("path", sorted(CONF.glob("experiment/*.yaml")), ids=name_of)
+def test_a_preset_composes_and_names_its_runs(path: Path) -> None:
+    assert compose.compose_config([f"+experiment={path.stem}"]).name.startswith(f"{path.stem}-")
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_imports_go_down_only(path: Path) -> None:
+    own, own_room = floor_and_room(".".join(path.relative_to(ROOT).with_suffix("").parts))
+    for dotted in imports(path):
+        if dotted.startswith("marl_clean.") and own < TOP:
+            floor, room = floor_and_room(dotted)
+            assert floor <= own, f"{dotted} is a floor above {own_room}"
+            if own == FLOOR["observation"] and own_room != "transform":
+                assert floor < own or room in (own_room, "transform")
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_the_lower_floors_need_few_libraries(path: Path) -> None:
+    room = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    barred = {
+        "house": {"torch", "torchrl", "tensordict"},
+        "world": {"torchrl", "tensordict"},
+        "encoder": {"torchrl", "tensordict"},
+        "comm": {"torchrl", "tensordict"},
+    }.get(room, set())
+    used = {dotted.partition(".")[0] for dotted in imports(path)}
+    assert used & (barred | {"pickle", "shelve", "marshal"}) == set()
+
+
+def test_the_floor_rule_sees_an_import_upwards(tmp_path: Path) -> None:
+    source = tmp_path / "up.py"
+    source.write_text("def f():\n    from marl_clean.trainer import off_policy\n")
+    assert [floor_and_room(dotted) for dotted in imports(source)] == [(5, "trainer")]
+
+
+def test_the_defaults_name_every_room() -> None:
+    sections = {key for key, value in compose.compose_config().items() if hasattr(value, "keys")}
+    assert sections == {*compose.rooms(), "evaluation"}
