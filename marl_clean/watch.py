@@ -17,7 +17,7 @@ HIDE_CURSOR, SHOW_CURSOR = "\x1b[?25l", "\x1b[?25h"
 
 def main(
     cfg: DictConfig,
-    out: TextIO = sys.stdout,
+    out: TextIO | None = None,
     frames_per_second: float = FRAMES_PER_SECOND,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
@@ -25,6 +25,7 @@ def main(
 
     Into a file or a pipe goes the last frame alone, as plain text and without delay.
     """
+    out = out or sys.stdout
     moments = scenes(held_out_env(cfg), policy_of(cfg))
     if not out.isatty():
         *_, last = moments

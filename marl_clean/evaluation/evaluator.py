@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 
 import torch
-from hydra.utils import instantiate
 from jaxtyping import Bool, Int
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
@@ -24,6 +23,7 @@ from marl_clean.evaluation.records import Entry, make_entry
 from marl_clean.house.base import Houses
 from marl_clean.keys import ACTION, MESSAGE_BITS
 from marl_clean.planner.base import Planner
+from marl_clean.schema import instantiate
 from marl_clean.settings import HouseOrder
 from marl_clean.world.random import Purpose, random_below, random_bits
 

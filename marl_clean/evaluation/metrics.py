@@ -5,13 +5,14 @@ one at the very end. A measure stops at the step at which the house is clean, or
 the episode; only T_certify may go on.
 """
 
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Int
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.evaluation import bounds
 from marl_clean.keys import ADJACENCY, DONE, MESSAGE_BITS, OWN_REWARD
 from marl_clean.settings import Knowledge, Sensor
@@ -25,13 +26,6 @@ NEVER = -1
 Record = dict[str, int | float | str | None]
 
 
-class World(Protocol):
-    """What the recorder reads of an environment; the transformed one passes it on."""
-
-    state: State
-    rules: Rules
-
-
 class Recorder:
     """Follows episodes from their reset to their end, whatever the environments do after.
 
@@ -40,7 +34,7 @@ class Recorder:
     no unknown cell is beside one that a robot has stood on.
     """
 
-    def __init__(self, env: World, certify: bool = False) -> None:
+    def __init__(self, env: CleaningEnv, certify: bool = False) -> None:
         self.env = env
         self.certify = certify
         state = env.state

@@ -85,7 +85,7 @@ def share_reached(runs: Sequence[Sequence[House]], measure: str) -> float:
     return float(np.mean([house[measure] is not None for run in runs for house in run]))
 
 
-def counted(house: House, measure: str) -> float | None:
+def counted(house: House, measure: str) -> int | float | None:
     """One house's value as it enters means: a time that was not reached is `max_steps`."""
     kind, _, name = measure.partition("_")
     if house[measure] is not None or kind not in ("T", "ratio"):

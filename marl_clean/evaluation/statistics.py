@@ -68,7 +68,7 @@ def iqm(values: Float[np.ndarray, "run house"]) -> float | None:
 
 def paired_difference(
     ours: Float[np.ndarray, "run house"],
-    theirs: Float[np.ndarray, "other_run house"],
+    theirs: Float[np.ndarray, "other_run other_house"],
     draws: int = DRAWS,
 ) -> Estimate:
     """How much larger our mean is, house by house, with the interval of that difference.
@@ -87,7 +87,7 @@ def paired_difference(
     return estimate(ours - theirs, draws)
 
 
-def as_sample(runs: Sequence[Sequence[float | None]]) -> Float[np.ndarray, "run house"]:
+def as_sample(runs: Sequence[Sequence[int | float | None]]) -> Float[np.ndarray, "run house"]:
     """A matrix of the runs' values, NaN where a record holds null."""
     return np.array(
         [[np.nan if value is None else value for value in run] for run in runs], dtype=np.float64
