@@ -21,10 +21,10 @@ def make_env(overrides: list[str] | None = None) -> "EnvBase":
 
     Raises BadInput on a wrong setting.
     """
-    from marl_clean import build
+    from marl_clean.build import make_env as from_config
     from marl_clean.compose import compose_config
 
-    return build.make_env(compose_config(overrides or []))
+    return from_config(compose_config(overrides or []))
 
 
 def load_policy(run: str) -> "TensorDictModule":
@@ -32,7 +32,7 @@ def load_policy(run: str) -> "TensorDictModule":
 
     Raises BadInput when there is no such run or its files do not fit.
     """
-    from marl_clean import build
+    from marl_clean.build import load_policy as from_folder
     from marl_clean.stored import find_run
 
-    return build.load_policy(find_run(run))
+    return from_folder(find_run(run))

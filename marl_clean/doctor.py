@@ -48,19 +48,24 @@ def _distributions() -> Iterator[Finding]:
     except metadata.PackageNotFoundError:
         yield Finding(DISTRIBUTION, "runs from its folder, not installed", "pip install -e .")
         return
-    for requirement in map(Requirement, declared):
-        extra = _extra_of(requirement)
-        if requirement.name == DISTRIBUTION:
-            continue
-        wanted = f"{requirement.name}{requirement.specifier}"
-        try:
-            version = metadata.version(requirement.name)
-        except metadata.PackageNotFoundError:
-            state = f"not installed (extra {extra})" if extra else "missing"
-            yield Finding(wanted, state, "" if extra else f"pip install '{wanted}'")
-            continue
-        fits = requirement.specifier.contains(version, prereleases=True)
-        yield Finding(wanted, version, "" if fits else f"pip install '{wanted}'")
+    # Everybody's first; what two extras ask for once.
+    requirements = {requirement.name: requirement for requirement in map(Requirement, declared)}
+    extras = {name: _extra_of(requirement) for name, requirement in requirements.items()}
+    for name in sorted(requirements, key=lambda name: (extras[name] or "", name)):
+        if name != DISTRIBUTION:
+            yield _distribution(requirements[name], extras[name])
+
+
+def _distribution(requirement: Requirement, extra: str | None) -> Finding:
+    wanted = f"{requirement.name}{requirement.specifier}"
+    mend = f"pip install '{wanted}'"
+    try:
+        version = metadata.version(requirement.name)
+    except metadata.PackageNotFoundError:
+        state = f"not installed (extra {extra})" if extra else "missing"
+        return Finding(wanted, state, "" if extra else mend)
+    fits = requirement.specifier.contains(version, prereleases=True)
+    return Finding(wanted, version, "" if fits else mend)
 
 
 def _extra_of(requirement: Requirement) -> str | None:

@@ -22,8 +22,8 @@ ROOMS = sorted({path.parent.name for path in LEVELS} - {"env"})
 HANDED_OVER = {"margin", "house_order", "first_env", "seed", "device"}
 
 FLOORS = [
-    {"errors", "keys", "settings", "schema", "safe_yaml", "plan_files", "viewer", "symmetry"}
-    | {"world"},
+    {"errors", "keys", "settings", "schema", "safe_yaml", "plan_files", "files", "viewer"}
+    | {"symmetry", "world"},
     {"house", "floorplan_readers"},
     {"env"},
     {"transform", "observation", "topology", "reward", "encoder", "comm", "channel"},
