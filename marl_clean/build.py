@@ -1,7 +1,6 @@
 """From a config to live objects: the one place where the rooms are put together."""
 
 import torch
-from hydra.utils import instantiate
 from omegaconf import DictConfig
 from torchrl.envs import Compose, RewardSum, TransformedEnv
 
@@ -9,6 +8,7 @@ from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.house.base import Houses, draw_bank, draw_houses, split_seeds
 from marl_clean.planner.base import Planner
+from marl_clean.schema import instantiate
 from marl_clean.settings import HouseOrder
 
 
@@ -44,8 +44,9 @@ def make_env(
     changes: dict = {"stuck_after": None} if never_stuck else {}
     if num_envs is not None:
         changes["num_envs"] = num_envs
-    env = instantiate(cfg.env, _partial_=True)(
-        training_houses(cfg) if houses is None else houses,
+    env = instantiate(
+        cfg.env,
+        houses=training_houses(cfg) if houses is None else houses,
         margin=max(1, observation.view_size // 2),
         house_order=house_order,
         contact=topology.contact,

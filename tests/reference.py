@@ -433,10 +433,10 @@ class World:
     # ---- what is written, in this order
 
     def _first_map(self, layout: set[Place]) -> Map:
-        """Nothing, or the whole matrix as memorised, all of it dirty, written at step 0."""
+        """Nothing, or the whole matrix as memorised, all of it dirty, learnt before step 0."""
         if self.settings.knowledge is Knowledge.UNKNOWN:
             return {}
-        return {place: Record(blocked=place not in layout, written=0) for place in self.places()}
+        return {place: Record(blocked=place not in layout, written=-1) for place in self.places()}
 
     def _clean(self) -> list[bool]:
         """Each robot cleans the cell it stands on; true where nobody had (since it was vacated)."""

@@ -28,7 +28,7 @@ from marl_clean.settings import (
     Sensor,
 )
 from marl_clean.viewer import draw
-from marl_clean.world.dynamics import MOVES, advance, commit_, episode_ends
+from marl_clean.world.dynamics import MOVES, advance, commit_, episode_ends, touch_
 from marl_clean.world.episode import FurnitureMoves, begin
 from marl_clean.world.furniture import move_furniture_
 from marl_clean.world.rules import Rules
@@ -61,7 +61,7 @@ class CleaningEnv(EnvBase):
     What a robot is paid, `("agents", "reward")`, is added by `marl_clean.reward`.
 
     ## Starting state
-    A house drawn from `houses` (or, with `house_order=fixed`, house i for env i), robots on
+    A house drawn from `houses` (or, with HouseOrder.FIXED, house i for env i), robots on
     distinct free cells: those of the plan, else drawn. Everything drawn is a pure function of
     (seed, env index, episode).
 
@@ -91,7 +91,7 @@ class CleaningEnv(EnvBase):
         furniture_moves_before_start: with knowledge=stale, moves since the robots memorised.
         compile: compile the pure parts of a step (some 20 s once, several times faster after).
         margin: cells stored around the house; at least half the view.
-        house_order: random (episodes draw a house), or fixed (env i plays house i).
+        house_order: whether episodes draw their house, or env i always plays house i.
         contact: who is in contact, for private and merged maps: a topology's `contact`.
         first_env: index of the first world: env i of 64 is the only one of `first_env=i`.
         seed: the seed of everything drawn.
@@ -132,15 +132,15 @@ class CleaningEnv(EnvBase):
     ) -> None:
         super().__init__(device=device, batch_size=[num_envs])
         self.rules = Rules(
-            memory=Memory(memory),
-            knowledge=Knowledge(knowledge),
-            sensor=Sensor(sensor),
+            memory=memory,
+            knowledge=knowledge,
+            sensor=sensor,
             decay_steps=decay_steps,
-            decay=Decay(decay),
+            decay=decay,
             uncleaned_at_most=uncleaned_at_most,
             unknown_pays_as=unknown_pays_as,
-            cases=Cases(cases),
-            obstacles=ObstaclePay(obstacles),
+            cases=cases,
+            obstacles=obstacles,
             stuck_after=stuck_after,
             margin=margin,
         )
@@ -149,7 +149,7 @@ class CleaningEnv(EnvBase):
         self.n_agents = n_agents
         self.num_envs = num_envs
         self.houses = houses
-        self.house_order = HouseOrder(house_order)
+        self.house_order = house_order
         self.furniture = FurnitureMoves(furniture_moves_per_episode, furniture_moves_before_start)
         self.contact = contact
         self.compile_functions = compile
@@ -217,9 +217,11 @@ class CleaningEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         state = self.state
         outcome = self._advance(state, tensordict.get(keys.ACTION), self._moves, self.rules)
-        commit_(state, outcome, self.rules)
+        commit_(state, outcome)
         if self.furniture.during_episode:
             move_furniture_(state, self.rules.margin)
+        if self.rules.sensor is Sensor.TOUCH4:
+            touch_(state, self.rules)
         self._meet()
         terminated, truncated = episode_ends(state, self.rules.stuck_after)
         terms = torch.stack(

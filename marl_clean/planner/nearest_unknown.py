@@ -28,12 +28,13 @@ class NearestUnknown(Planner):
         assignment: none: each robot for itself. greedy: of all pairs of a robot and a target
             the closest is taken first (ties: the lower robot, then what its search finds first),
             until every robot has one of its own. hungarian: the least sum of distances.
-            A robot for which no target is left goes for its own nearest.
+            Robots that reach an unknown cell compete for those, the others for the dirty ones;
+            a robot for which no target is left goes for its own nearest.
     """
 
     def __init__(self, assignment: Assignment = Assignment.NONE) -> None:
         super().__init__()
-        self.assignment = Assignment(assignment)
+        self.assignment = assignment
 
     @property
     def label(self) -> str:
@@ -42,21 +43,28 @@ class NearestUnknown(Planner):
 
     def act(self) -> Int[Tensor, "env agent"]:
         state, rules = self.env.state, self.env.rules
-        matrix = slice(rules.margin - 1, -(rules.margin - 1) or None)  # the house and its ring
+        matrix = slice(rules.margin - 1, 1 - rules.margin or None)  # the house and its ring
         record = state.record[..., matrix, matrix]
         now = (state.step + 1).to(record.dtype).view(-1, 1, 1, 1)
         width = record.shape[3]
         cell = (state.position[..., 0] + 1) * width + state.position[..., 1] + 1
-        passable = ~is_known_blocked(record) & (record != now)  # of age 0: a robot's
-        unknown = is_unknown(record)
+        occupied = torch.zeros_like(record[:, 0], dtype=torch.bool).flatten(1)
+        occupied = occupied.scatter(1, cell, True).view_as(record[:, :1])
+        passable = ~is_known_blocked(record) & ~occupied
+        unknown = is_unknown(record) & ~occupied
+        dirty = is_known_dirty(record, now, rules) & ~occupied
+
         to_unknown = around(walking_distance(passable, unknown), cell)
-        to_dirty = around(
-            walking_distance(passable, is_known_dirty(record, now, rules) & passable), cell
-        )
-        distances = torch.where(reachable(to_unknown), to_unknown, to_dirty)
+        to_dirty = around(walking_distance(passable, dirty), cell)
+        explores = reachable(to_unknown)
+        distances = torch.where(explores, to_unknown, to_dirty)
         if self.assignment is not Assignment.NONE:
             assign = assign_greedily if self.assignment is Assignment.GREEDY else assign_optimally
-            to_own = assign(passable, unknown, cell)
+            to_own = torch.where(
+                explores,
+                assign(passable, unknown, cell, explores[..., 0]),
+                assign(passable, dirty, cell, ~explores[..., 0]),
+            )
             distances = torch.where(reachable(to_own), to_own, distances)
         return torch.where(
             reachable(distances)[..., 0], first_closest(distances), self.random_action()
@@ -82,7 +90,10 @@ def first_closest(distances: Int[Tensor, "env agent 4"]) -> Int[Tensor, "env age
 
 
 def assign_greedily(
-    passable: Grid, unknown: Grid, cell: Int[Tensor, "env agent"]
+    passable: Grid,
+    targets: Grid,
+    cell: Int[Tensor, "env agent"],
+    competes: Bool[Tensor, "env agent"],
 ) -> Int[Tensor, "env agent 4"]:
     """Return the neighbours' distances to the target that each robot is assigned.
 
@@ -91,21 +102,21 @@ def assign_greedily(
     """
     num_envs, n_agents = cell.shape
     env = torch.arange(num_envs, device=cell.device)
-    targets = unknown
-    assigned = torch.full(
-        (num_envs, n_agents, 4), UNREACHABLE, dtype=torch.int32, device=cell.device
-    )
-    waiting = torch.ones((num_envs, n_agents), dtype=torch.bool, device=cell.device)
+    assigned = torch.full_like(competes, UNREACHABLE, dtype=torch.int32)[..., None].repeat(1, 1, 4)
+    waiting = competes
     for _ in range(n_agents):
         distance = walking_distance(passable, targets)
         beside = around(distance, cell)
         nearest = torch.where(waiting, beside.amin(-1), UNREACHABLE)
         robot = first_minimum(nearest)
         found = nearest[env, robot] < UNREACHABLE
+        if not found.any():
+            break
         which_map = robot if distance.shape[1] > 1 else torch.zeros_like(robot)
         target = _walk(distance[env, which_map], cell[env, robot], found)
-        assigned[env[found], robot[found]] = beside[env[found], robot[found]]
-        waiting[env[found], robot[found]] = False
+        winner = (torch.arange(n_agents, device=cell.device) == robot[:, None]) & found[:, None]
+        assigned = torch.where(winner[..., None], beside, assigned)
+        waiting = waiting & ~winner
         struck = targets.flatten(2).clone()
         struck[env[found], :, target[found]] = False
         targets = struck.view_as(targets)
@@ -137,33 +148,36 @@ def _walk(
 
 
 def assign_optimally(
-    passable: Grid, unknown: Grid, cell: Int[Tensor, "env agent"]
+    passable: Grid,
+    targets: Grid,
+    cell: Int[Tensor, "env agent"],
+    competes: Bool[Tensor, "env agent"],
 ) -> Int[Tensor, "env agent 4"]:
     """Return the neighbours' distances to each robot's target under the least sum of distances.
 
     SciPy's `linear_sum_assignment` decides, one world at a time; only the n nearest targets of
-    each of n robots can be part of a best assignment.
+    each of n robots can be part of a best assignment. As many robots as possible get a target.
     """
     num_envs, n_agents = cell.shape
-    start = torch.zeros((num_envs, n_agents, unknown[0, 0].numel()), dtype=torch.bool)
-    start = start.to(cell.device).scatter(2, cell[..., None], True)
-    start = start.view(num_envs, n_agents, *unknown.shape[2:])
-    every_map = (num_envs, n_agents, *unknown.shape[2:])
-    way = walking_distance(passable.expand(every_map), start)
-    cost = torch.where(unknown.expand(every_map), way, UNREACHABLE).flatten(2)
-    near = cost.topk(min(n_agents, cost.shape[2]), dim=2, largest=False)
-    target = torch.full((num_envs, n_agents), -1)
-    for env in range(num_envs):
-        candidates = near.indices[env].unique()
-        table = cost[env][:, candidates].double().cpu().numpy()
-        robots, columns = linear_sum_assignment(np.minimum(table, _TOO_FAR))
-        within = table[robots, columns] < UNREACHABLE
-        target[env, robots[within]] = candidates[columns[within]].cpu()
-    goal = torch.zeros_like(start).flatten(2)
-    goal.scatter_(2, target.to(cell.device).clamp(min=0)[..., None], True)
-    goal &= (target >= 0).to(cell.device)[..., None]
-    distance = walking_distance(passable.expand(every_map), goal.view(every_map))
-    return around(distance, cell)
+    shape = (num_envs, n_agents, *targets.shape[2:])
+    passable, targets = passable.expand(shape), targets.expand(shape)
+    start = torch.zeros_like(targets).flatten(2).scatter(2, cell[..., None], True)
+    way = walking_distance(passable, start.view(shape))
+    cost = torch.where(targets & competes[..., None, None], way, UNREACHABLE).flatten(2)
+    nearest = cost.topk(min(n_agents, cost.shape[2]), dim=2, largest=False).indices
+    candidates = nearest.flatten(1)  # a target twice is harmless: the copy is struck below
+    table = cost.gather(2, candidates[:, None].expand(-1, n_agents, -1)).cpu().numpy()
+    column = np.full((num_envs, n_agents), -1)
+    for env, (costs, cells) in enumerate(zip(table, candidates.cpu().numpy(), strict=True)):
+        _, once = np.unique(cells, return_index=True)
+        robots, chosen = linear_sum_assignment(np.minimum(costs[:, once], _TOO_FAR))
+        within = costs[robots, once[chosen]] < UNREACHABLE
+        column[env, robots[within]] = once[chosen[within]]
+    chosen_column = torch.from_numpy(column).to(cell.device)
+    target = candidates.gather(1, chosen_column.clamp(min=0))
+    goal = torch.zeros_like(start).scatter(2, target[..., None], True)
+    goal &= (chosen_column >= 0)[..., None]
+    return around(walking_distance(passable, goal.view(shape)), cell)
 
 
-_TOO_FAR = 1e7  # of no way: above any sum of real distances, far below where doubles lose units
+_TOO_FAR = 10**7  # of no way: above any sum of real distances

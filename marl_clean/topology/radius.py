@@ -19,7 +19,7 @@ class Radius(Topology):
 
     def __init__(self, radius_cells: PositiveFloat | None = None, view_size: OddInt = 15) -> None:
         super().__init__()
-        self.radius_cells = view_size // 2 if radius_cells is None else radius_cells
+        self.radius_cells = float(view_size // 2) if radius_cells is None else radius_cells
 
     def contact(self, state: State) -> Bool[Tensor, "env agent agent"]:
         return in_radius(state.position, self.radius_cells)

@@ -24,7 +24,7 @@ class Sight(Topology):
 
     def __init__(self, radius_cells: PositiveFloat | None = None, view_size: OddInt = 15) -> None:
         super().__init__()
-        self.radius_cells = view_size // 2 if radius_cells is None else radius_cells
+        self.radius_cells = float(view_size // 2) if radius_cells is None else radius_cells
         self.register_buffer(
             "crossed", crossed_cells(math.floor(self.radius_cells)), persistent=False
         )

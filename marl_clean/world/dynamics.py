@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from marl_clean.settings import Sensor
 from marl_clean.world.rewards import reward_terms
 from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import write_records_
@@ -110,15 +109,13 @@ def map_base(state: State) -> Int[Tensor, "env map_or_1"]:
     return maps.view(num_envs, num_maps) * (height * width)
 
 
-def commit_(state: State, outcome: Outcome, rules: Rules) -> None:
+def commit_(state: State, outcome: Outcome) -> None:
     """Write an outcome into the state, in place."""
     for name in ("position", "moved", "bumped", "collided", "newly_cleaned"):
         setattr(state, name, getattr(outcome, name))
     for name in ("step", "last_progress", "num_visited"):
         setattr(state, name, getattr(outcome, name))
     state.visited.view(-1).scatter_(0, outcome.visited_index.reshape(-1), True)
-    if rules.sensor is Sensor.TOUCH4:
-        touch_(state, rules)
     write_records_(state.record, outcome.record_index, outcome.record_value)
 
 

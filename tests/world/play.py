@@ -1,0 +1,144 @@
+"""The tensor world set up as a drawn case says, for comparison with the plain reference."""
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs import Compose, TransformedEnv
+
+from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.house.base import Houses
+from marl_clean.observation.crop import Crop
+from marl_clean.reward.individual import Individual
+from marl_clean.reward.neighbours import Neighbours
+from marl_clean.reward.team import Team
+from marl_clean.settings import HouseOrder, Knowledge, Memory, Sensor
+from marl_clean.topology.full import Full
+from marl_clean.topology.none import Nobody
+from marl_clean.topology.radius import Radius
+from marl_clean.topology.sight import Sight
+from marl_clean.topology.view import View
+from marl_clean.world.dynamics import touch_
+from marl_clean.world.shared_map import merge_maps
+from tests.reference import Settings
+from tests.world.strategies import Case
+
+REWARDS = {"individual": Individual, "neighbours": Neighbours, "team": Team}
+
+
+def topology_of(settings: Settings):
+    """Build the transform that the settings name."""
+    radius = None if settings.radius_cells is None else float(settings.radius_cells)
+    match settings.topology:
+        case "view":
+            return View(settings.view_size)
+        case "radius":
+            return Radius(radius, settings.view_size)
+        case "sight":
+            return Sight(radius, settings.view_size)
+        case "full":
+            return Full()
+        case "none":
+            return Nobody()
+    raise ValueError(settings.topology)
+
+
+def houses_of(free, furniture, starts) -> Houses:
+    """One house as the stack that envs take."""
+    free = np.array(free, dtype=bool)
+    pieces = np.zeros(free.shape) if furniture is None else np.array(furniture)
+    return Houses(
+        free=free[None],
+        furniture=pieces.astype(np.int16)[None],
+        rows=np.array([free.shape[0]]),
+        cols=np.array([free.shape[1]]),
+        starts=np.array([starts]),
+        sources=["drawn"],
+    )
+
+
+def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
+    """The env that plays all `cases` at once; they differ in house, starts and moves alone.
+
+    With `whole_map` the view reaches over the whole matrix from every place in it.
+    """
+    settings = cases[0].settings
+    side = 2 * max(max(len(case.free), len(case.free[0])) for case in cases) + 3
+    topology = topology_of(settings)
+    base = CleaningEnv(
+        stack(cases),
+        n_agents=len(cases[0].starts),
+        num_envs=len(cases),
+        memory=settings.memory,
+        knowledge=settings.knowledge,
+        sensor=settings.sensor,
+        max_steps=settings.max_steps,
+        stuck_after=settings.stuck_after,
+        decay_steps=settings.decay_steps,
+        decay=settings.decay,
+        uncleaned_at_most=float(settings.uncleaned_at_most),
+        unknown_pays_as=float(settings.unknown_value),
+        cases=settings.cases,
+        obstacles=settings.obstacles,
+        furniture_moves_per_episode=1,
+        margin=max(side // 2, settings.view_size // 2),
+        house_order=HouseOrder.FIXED,
+        contact=topology.contact,
+    )
+    crop = Crop(side if whole_map else settings.view_size)
+    return TransformedEnv(base, Compose(topology, crop, REWARDS[settings.reward]()))
+
+
+def stack(cases: list[Case]) -> Houses:
+    """The houses of several cases, padded to one size."""
+    rows = max(len(case.free) for case in cases)
+    cols = max(len(case.free[0]) for case in cases)
+    single = [houses_of(case.free, case.furniture, case.starts) for case in cases]
+
+    def padded(matrix: np.ndarray) -> np.ndarray:
+        return np.pad(matrix, ((0, rows - matrix.shape[0]), (0, cols - matrix.shape[1])))
+
+    return Houses(
+        free=np.stack([padded(house.free[0]) for house in single]),
+        furniture=np.stack([padded(house.furniture[0]) for house in single]),
+        rows=np.concatenate([house.rows for house in single]),
+        cols=np.concatenate([house.cols for house in single]),
+        starts=np.concatenate([house.starts for house in single]),
+        sources=["drawn"] * len(cases),
+    )
+
+
+def start(env: TransformedEnv, cases: list[Case]) -> TensorDictBase:
+    """Reset the env, hand it the cases' own furniture moves, and let stale maps believe."""
+    tensordict = env.reset()
+    base = env.base_env
+    most = max(1, *(len(case.moves) for case in cases))
+    moves = torch.zeros((len(cases), most, 3), dtype=torch.int64)
+    for index, case in enumerate(cases):
+        for move, entry in enumerate(case.moves):
+            moves[index, move] = torch.tensor(entry)
+    base.state.furniture_moves = moves
+    if base.rules.knowledge is Knowledge.STALE:
+        believe(base, cases)
+        tensordict = env.transform._reset(tensordict.empty(), tensordict)
+    return tensordict
+
+
+def believe(base: CleaningEnv, cases: list[Case]) -> None:
+    """Write the memorised layouts into the maps as `begin` writes the houses' own."""
+    margin, state = base.rules.margin, base.state
+    now = 1.0
+    for index, case in enumerate(cases):
+        layout = torch.tensor(case.free if case.memorised is None else case.memorised)
+        rows, cols = layout.shape
+        matrix = torch.full((rows + 2, cols + 2), -0.5)
+        matrix[1:-1, 1:-1] = torch.where(layout, 0.5, -0.5)
+        state.record[index] = 0.0
+        ring = slice(margin - 1, margin + rows + 1), slice(margin - 1, margin + cols + 1)
+        state.record[index][:, *ring] = matrix
+        for robot, (row, col) in enumerate(case.starts):
+            whose = 0 if base.rules.memory is Memory.SHARED else robot
+            state.record[index, whose, row + margin, col + margin] = now
+    if base.rules.sensor is Sensor.TOUCH4:
+        touch_(state, base.rules)
+    if base.rules.memory is Memory.MERGED:
+        state.record = merge_maps(state.record, base.contact(state))

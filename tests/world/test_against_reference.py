@@ -1,0 +1,111 @@
+"""The tensor world equals the plain one, step for step, whatever the reading."""
+
+import torch
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from torchrl.envs.utils import step_mdp
+
+from marl_clean import keys
+from marl_clean.world.sensing import crossed_cells
+from tests.reference import World
+from tests.world.play import env_of, start
+from tests.world.strategies import Case, cases
+
+EXAMPLES = 100
+
+
+def assert_same_observation(tensordict, index: int, world: World, side: int) -> None:
+    n_agents = len(world.positions)
+    assert tensordict[keys.POSITION][index].tolist() == [list(p) for p in world.positions]
+    assert tensordict[keys.ADJACENCY][index].tolist() == world.contacts()
+    assert tensordict[keys.DISTANCE_RANK][index].tolist() == world.distance_rank()
+    expected = torch.tensor(
+        [[[float(v) for v in row] for row in world.view(i, side)] for i in range(n_agents)]
+    )
+    torch.testing.assert_close(
+        tensordict[keys.OBSERVATION][index, :, 0], expected, atol=1e-6, rtol=0
+    )
+
+
+def assert_same_outcome(tensordict, state, index: int, world: World, outcome) -> None:
+    assert state.moved[index].tolist() == outcome.moved
+    assert state.bumped[index].tolist() == outcome.bumped
+    assert state.collided[index].tolist() == outcome.collided
+    assert state.newly_cleaned[index].tolist() == outcome.newly_cleaned
+    for key, expected in (
+        (keys.INFO_STEP, outcome.step),
+        (keys.INFO_CLEANING, outcome.cleaning),
+        (keys.INFO_DISCOVERY, outcome.discovery),
+        (keys.OWN_REWARD, outcome.own_reward),
+        (keys.REWARD, outcome.reward),
+    ):
+        expected = torch.tensor([float(value) for value in expected])
+        torch.testing.assert_close(tensordict[key][index, :, 0], expected, atol=1e-5, rtol=0)
+    assert bool(tensordict[keys.TERMINATED][index]) == outcome.terminated
+    assert bool(tensordict[keys.TRUNCATED][index]) == outcome.truncated
+    assert (int(state.num_visited[index]), int(state.num_free[index])) == world.coverage()
+
+
+def play_together(drawn: list[Case], whole_map: bool) -> None:
+    env = env_of(drawn, whole_map)
+    worlds = [case.world() for case in drawn]
+    side = env.transform[1].view_size
+    tensordict = start(env, drawn)
+    for index, world in enumerate(worlds):
+        assert_same_observation(tensordict, index, world, side)
+    playing = [True] * len(drawn)
+    for step in range(max(len(case.actions) for case in drawn)):
+        actions = [case.actions[min(step, len(case.actions) - 1)] for case in drawn]
+        tensordict[keys.ACTION] = torch.tensor(actions)
+        after = env.step(tensordict)["next"]
+        for index, world in enumerate(worlds):
+            if not playing[index] or step >= len(drawn[index].actions):
+                continue
+            outcome = world.step(actions[index])
+            assert_same_outcome(after, env.base_env.state, index, world, outcome)
+            assert_same_observation(after, index, world, side)
+            playing[index] = not (outcome.terminated or outcome.truncated)
+        tensordict = _carry(tensordict, after)
+
+
+def _carry(tensordict, after):
+    carried = tensordict.clone(False)
+    carried["next"] = after
+    return step_mdp(carried)
+
+
+@given(case=cases(), whole_map=st.booleans())
+@hypothesis_settings(max_examples=EXAMPLES, deadline=None)
+def test_every_step_of_random_play_is_the_reference(case: Case, whole_map: bool) -> None:
+    play_together([case], whole_map)
+
+
+@given(data=st.data())
+@hypothesis_settings(max_examples=30, deadline=None)
+def test_several_worlds_together_equal_each_alone(data: st.DataObject) -> None:
+    """One env plays several houses of different sizes; each is as the reference alone."""
+    first = data.draw(cases(max_agents=3))
+    n_agents = len(first.starts)
+    others = data.draw(
+        st.lists(
+            cases(settings=st.just(first.settings), max_agents=n_agents).filter(
+                lambda case: len(case.starts) == n_agents
+            ),
+            min_size=1,
+            max_size=3,
+        )
+    )
+    play_together([first, *others], whole_map=True)
+
+
+def test_sight_lines_cross_what_they_should() -> None:
+    table = crossed_cells(2)
+
+    def crossed(row: int, col: int) -> set[tuple[int, int]]:
+        return {(r, c) for r, c in table[row + 2, col + 2].tolist()}
+
+    assert crossed(0, 2) == {(0, 0), (0, 1), (0, 2)}
+    assert crossed(1, 1) == {(0, 0), (1, 1)}  # through the corner of (0, 1) and (1, 0)
+    assert crossed(1, 2) == {(0, 0), (0, 1), (1, 1), (1, 2)}
+    assert crossed(-2, 1) == {(0, 0), (-1, 0), (-1, 1), (-2, 1)}
