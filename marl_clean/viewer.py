@@ -145,7 +145,7 @@ def _with_grid(cells: np.ndarray, cell_pixels: int) -> np.ndarray:
     return cells
 
 
-def _font(pixels: float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+def _font(pixels: int | float) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(size=pixels * SUPERSAMPLE)
 
 
@@ -186,7 +186,7 @@ def _caption(pen: ImageDraw.ImageDraw, layout: Layout, scene: Scene) -> None:
     middle = top + layout.rows * layout.cell_pixels + CAPTION // 2 + 2
     right = layout.width - left
 
-    def box(start: float, end: float) -> tuple[float, float, float, float]:
+    def box(start: int | float, end: int | float) -> tuple[int | float, ...]:
         return (
             start * SUPERSAMPLE, (middle - 4) * SUPERSAMPLE,
             end * SUPERSAMPLE, (middle + 4) * SUPERSAMPLE,

@@ -3,7 +3,6 @@
 import sys
 import time
 from collections.abc import Callable
-from typing import TextIO
 
 from omegaconf import DictConfig
 
@@ -17,7 +16,6 @@ HIDE_CURSOR, SHOW_CURSOR = "\x1b[?25l", "\x1b[?25h"
 
 def main(
     cfg: DictConfig,
-    out: TextIO | None = None,
     frames_per_second: float = FRAMES_PER_SECOND,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
@@ -25,7 +23,7 @@ def main(
 
     Into a file or a pipe goes the last frame alone, as plain text and without delay.
     """
-    out = out or sys.stdout
+    out = sys.stdout
     moments = scenes(held_out_env(cfg), policy_of(cfg))
     if not out.isatty():
         *_, last = moments

@@ -1,0 +1,90 @@
+"""`curve.png`: how a run learnt, from its metrics.csv.
+
+The file has a column `frames` and one for each thing logged, such as `train/loss` or
+`validation/T_90`; a cell is empty where nothing was logged at that frame. Columns with the same
+last name share a panel.
+"""
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
+
+from marl_clean.errors import BadInput
+from marl_clean.report.axes import STYLE, new_figure, unit
+from marl_clean.viewer import ROBOTS
+
+FRAMES = "frames"
+FIRST = ("finished", "T_90", "T_100", "coverage", "episode_reward", "loss", "epsilon")
+MOST_PANELS = 8
+PANELS_A_ROW = 4
+FEW = 40  # points that are worth a mark each
+
+Series = list[tuple[float, float]]  # (frames, value)
+
+
+def draw_curve(metrics: Path, path: Path) -> None:
+    """Draw `metrics` into the picture `path`. Raises BadInput where there is nothing to draw."""
+    with matplotlib.rc_context(STYLE):
+        plot_curve(read_metrics(metrics)).savefig(path, dpi=150)
+
+
+def read_metrics(metrics: Path) -> dict[str, Series]:
+    """Every column's points, without the empty cells. Raises BadInput for no table of frames."""
+    try:
+        with metrics.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    except OSError as error:
+        raise BadInput(f"{metrics}: cannot be read: {error.strerror}") from error
+    if not rows or FRAMES not in rows[0]:
+        raise BadInput(f"{metrics}: needs a column {FRAMES} and at least one row of numbers")
+    columns = {
+        name: [(float(row[FRAMES]), float(row[name])) for row in rows if row[name]]
+        for name in rows[0]
+        if name != FRAMES
+    }
+    return {name: points for name, points in columns.items() if points}
+
+
+def plot_curve(columns: Mapping[str, Series]) -> Figure:
+    """One panel for each thing, the most telling first."""
+    shown = panels(list(columns))[:MOST_PANELS]
+    rows = -(-len(shown) // PANELS_A_ROW)
+    figure = new_figure(2.6 * min(len(shown), PANELS_A_ROW), 2.2 * rows)
+    axes = figure.subplots(rows, min(len(shown), PANELS_A_ROW), squeeze=False).flat
+    for panel, name in zip(axes, shown, strict=False):
+        _plot_panel(panel, name, {key: columns[key] for key in columns if last(key) == name})
+    for panel in list(axes)[len(shown) :]:
+        panel.set_axis_off()
+    return figure
+
+
+def panels(names: Sequence[str]) -> list[str]:
+    """The distinct last names, those of FIRST in its order before the others in theirs."""
+    found = list(dict.fromkeys(map(last, names)))
+    return [name for name in FIRST if name in found] + [n for n in found if n not in FIRST]
+
+
+def last(name: str) -> str:
+    """What a column measures: `T_90` of `validation/T_90`."""
+    return name.rpartition("/")[2]
+
+
+def _plot_panel(axes: Axes, title: str, columns: Mapping[str, Series]) -> None:
+    for index, (name, points) in enumerate(columns.items()):
+        frames, values = zip(*points, strict=True)
+        mark = "." if len(points) <= FEW else None
+        label = name.rpartition("/")[0] or None
+        axes.plot(
+            frames, values, marker=mark, linewidth=1.2, color=unit(ROBOTS[index]), label=label
+        )
+    axes.set_title(title, loc="left")
+    axes.set_xlabel(FRAMES)
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.grid(alpha=0.25, linewidth=0.5)
+    if len(columns) > 1:
+        axes.legend(frameon=False, fontsize=7)
