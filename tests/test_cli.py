@@ -40,7 +40,7 @@ MORE_BAD_COMMANDS = {
     "watch planner=nobody": "planner=nobody",
     "figure": "NAME",
     "figure seed=1": "name a figure",
-    "figure paper_9": "did you mean paper_1?",
+    "figure paper_9": "paper_2",
     "benchmark seed=x": "seed",
     "list seed=1": "seed=1",
     "doctor now": "now",
