@@ -62,7 +62,6 @@ class Recorder:
         self.measuring = zeros(dtype=torch.bool) | True
         self.playing = self.measuring.clone()
         self._note(state)
-        self._stop(state, torch.zeros_like(self.playing))
 
     def update(self, step: TensorDictBase) -> None:
         """Count one step: `step` holds what was seen and done, and under "next" what came of it."""
@@ -91,7 +90,7 @@ class Recorder:
         """Write down the times that this step is the first to reach."""
         for percent, time in self.reached.items():
             enough = self.num_visited >= bounds.need(percent, self.num_free)
-            first = self.measuring & enough & (time == NEVER)
+            first = enough & (time == NEVER)
             self.reached[percent] = torch.where(first, state.step, time)
         if self.certify:
             unsure = self.playing & (self.certified_at == NEVER)
@@ -99,12 +98,11 @@ class Recorder:
             self.certified_at = torch.where(sure, state.step, self.certified_at)
 
     def _stop(self, state: State, done: Bool[Tensor, " env"]) -> None:
-        """A clean house ends its measures, and also its play unless it waits to be certain."""
+        """Being done ends the measures, and also the play unless a clean house waits to be sure."""
+        self.measuring = self.measuring & ~done
         clean = self.num_visited >= self.num_free
-        out_of_steps = state.step >= self.max_steps
-        self.measuring = self.measuring & ~clean & ~done & ~out_of_steps
-        waits = self.certify & clean & (self.certified_at == NEVER) & ~out_of_steps
-        self.playing = self.playing & (self.measuring | waits)
+        unsure = (self.certified_at == NEVER) & (state.step < self.max_steps)
+        self.playing = self.playing & (self.measuring | (self.certify & clean & unsure))
 
     def records(self) -> list[Record]:
         """One record a house, in the order of the environments; the names are world.md's."""
