@@ -1,4 +1,4 @@
-"""What a config asks of files, before torch is imported: its floor plan, its folders."""
+"""What a config asks of the machine: its floor plan, its folders, its device."""
 
 from pathlib import Path
 
@@ -28,3 +28,16 @@ def check_out(path: Path) -> None:
             if not parent.is_dir():
                 raise BadInput(f"out={path}: {parent} is not a folder; give another file")
             return
+
+
+def check_device(device: str) -> None:
+    """Raises BadInput when torch cannot use `device`; asks torch only when it is not the cpu."""
+    if device == "cpu":
+        return
+    import torch
+
+    gpus = [f"cuda:{index}" for index in range(torch.cuda.device_count())]
+    valid = ["cpu", *(["cuda"] if gpus else []), *gpus]
+    valid += ["mps"] if torch.backends.mps.is_available() else []
+    if device not in valid:
+        raise BadInput(f"device={device}: not on this machine; valid: {', '.join(valid)}")

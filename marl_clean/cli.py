@@ -189,9 +189,10 @@ def _usage() -> str:
 
 
 def _checked(config: "DictConfig") -> "DictConfig":
-    from marl_clean.checks import check_house
+    from marl_clean.checks import check_device, check_house
 
     check_house(config)
+    check_device(config.device)
     return config
 
 

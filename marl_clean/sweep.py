@@ -9,7 +9,7 @@ from hydra.core.plugins import Plugins
 from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig
 
-from marl_clean.checks import check_house
+from marl_clean.checks import check_device, check_house
 from marl_clean.compose import (
     checked,
     compose_config,
@@ -65,4 +65,5 @@ def train_job(config: DictConfig) -> None:
     from marl_clean import train
 
     config = checked(resolved(config))
+    check_device(config.device)  # here, since the job's machine may not be the launching one
     train.main(config, RUNS / config.name)

@@ -93,6 +93,12 @@ def test_bad_input_leaves_nothing(
     assert files_in(place) == files
 
 
+def test_a_device_that_is_not_there(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["train", "device=cuda:99"]) == cli.BAD_INPUT
+    assert "device=cuda:99: not on this machine; valid: cpu" in capsys.readouterr().err
+    assert not Path("runs").exists()
+
+
 def test_bad_input_is_met_before_torch_is_imported(place: Path) -> None:
     program = (
         "import sys; from marl_clean import cli\n"
