@@ -19,7 +19,7 @@ from marl_clean import build
 from marl_clean.compose import compose_config, config_hash
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.evaluation.metrics import Record, Recorder
-from marl_clean.evaluation.records import Entry, make_entry
+from marl_clean.evaluation.records import Entry, make_entry, means
 from marl_clean.house.base import Houses
 from marl_clean.keys import ACTION, MESSAGE_BITS
 from marl_clean.planner.base import Planner
@@ -72,6 +72,19 @@ def evaluate(
             )
         ]
     return records
+
+
+def validate(cfg: DictConfig, policy: nn.Module) -> dict[str, float]:
+    """The means by which training chooses its weights: on validation houses, as in tests."""
+    section = cfg.evaluation
+    records = evaluate(
+        cfg,
+        lambda env: policy,
+        house_set="validation",
+        count=section.houses,
+        epsilon=section.epsilon,
+    )
+    return means(records)
 
 
 def measure(cfg: DictConfig, policy_for: PolicyFor, name: str, *, epsilon: float = 0.0) -> Entry:

@@ -5,7 +5,6 @@ A list with one entry for each (policy, set of houses); `schema` is the version 
 """
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from marl_clean import files
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.statistics import as_sample, estimate, iqm
 
@@ -75,6 +75,16 @@ def summarise(runs: Sequence[Sequence[House]]) -> dict[str, dict[str, Any]]:
     return summary
 
 
+def means(houses: Sequence[House]) -> dict[str, float]:
+    """The means of every measure that has one, and the share of houses `finished`."""
+    found = {"finished": share_reached([houses], "T_100")}
+    for measure in MEASURES:
+        values = sample([houses], measure) if measure in houses[0] else np.array([np.nan])
+        if np.isfinite(values).any():
+            found[measure] = float(np.nanmean(values))
+    return found
+
+
 def sample(runs: Sequence[Sequence[House]], measure: str) -> Float[np.ndarray, "run house"]:
     """A measure's values as they enter means; NaN where there is none, as for a bound of 0."""
     return as_sample([[counted(house, measure) for house in run] for run in runs])
@@ -97,18 +107,13 @@ def counted(house: House, measure: str) -> int | float | None:
 
 
 def write_entries(path: Path, entries: Sequence[Entry]) -> None:
-    """Write evaluation.json whole or not at all: under another name first, then renamed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    """Write evaluation.json whole or not at all. Raises BadInput where the disk refuses."""
+    text = json.dumps(list(entries), indent=1, allow_nan=False) + "\n"
     try:
-        with unfinished.open("w", encoding="utf-8") as file:
-            json.dump(list(entries), file, indent=1, allow_nan=False)
-            file.write("\n")
-            file.flush()
-            os.fsync(file.fileno())
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        files.write_file(path, [text.encode()])
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def read_entries(path: Path) -> list[Entry]:

@@ -1,11 +1,13 @@
 """`replay.gif`: one episode, the truth beside the robots' map."""
 
+import io
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from omegaconf import DictConfig
 from PIL import Image
 
+from marl_clean import files
 from marl_clean.evaluation.evaluator import PolicyFor
 from marl_clean.report.episode import held_out_env, scenes
 from marl_clean.viewer import Scene, draw
@@ -30,16 +32,15 @@ def write_gif(path: Path, moments: Iterable[Scene], max_bytes: int = MAX_BYTES) 
     The first and the last are always shown. The file appears whole or not at all.
     """
     pictures = coded(drawn(moments))
-    unfinished = path.with_name(f".{path.name}")
-    path.parent.mkdir(parents=True, exist_ok=True)
     stride = 1
     while True:
         shown = [*pictures[:-1:stride], pictures[-1]]
-        size = save(unfinished, shown)
-        if size <= max_bytes or len(shown) <= 2:
+        content = encoded(shown)
+        if len(content) <= max_bytes or len(shown) <= 2:
             break
-        stride = max(stride + 1, -(-stride * size // max_bytes))
-    unfinished.replace(path)
+        stride = max(stride + 1, -(-stride * len(content) // max_bytes))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    files.write_file(path, [content])
 
 
 def drawn(moments: Iterable[Scene]) -> list[Image.Image]:
@@ -81,10 +82,11 @@ def coded(pictures: Sequence[Image.Image]) -> list[Image.Image]:
     return [picture.quantize(palette=palette, dither=undithered) for picture in pictures]
 
 
-def save(path: Path, pictures: Sequence[Image.Image]) -> int:
-    """Write a GIF that starts again at its end, and return its bytes."""
+def encoded(pictures: Sequence[Image.Image]) -> bytes:
+    """The pictures as a GIF that starts again at its end."""
+    content = io.BytesIO()
     pictures[0].save(
-        path,
+        content,
         format="GIF",
         save_all=True,
         append_images=pictures[1:],
@@ -92,4 +94,4 @@ def save(path: Path, pictures: Sequence[Image.Image]) -> int:
         loop=0,
         optimize=False,
     )
-    return path.stat().st_size
+    return content.getvalue()

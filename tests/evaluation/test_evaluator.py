@@ -8,7 +8,12 @@ from tensordict.nn import TensorDictModuleBase
 from marl_clean import build
 from marl_clean.compose import compose_config
 from marl_clean.evaluation import evaluator
-from marl_clean.evaluation.evaluator import evaluate, measure_beside_planners, measure_planner
+from marl_clean.evaluation.evaluator import (
+    evaluate,
+    measure_beside_planners,
+    measure_planner,
+    validate,
+)
 from marl_clean.keys import ACTION, ADJACENCY, MESSAGE_BITS, OBSERVATION
 
 SMALL = ["house.rows=[5, 6]", "house.cols=[5, 9]", "evaluation.houses=6", "env.max_steps=40"]
@@ -136,3 +141,14 @@ def test_a_learned_policy_stands_beside_the_planners(cfg):
     assert {entry["house_set"] for entry in entries} == {"test"}
     times = {entry["policy"]: entry["summary"]["T_90"]["mean"] for entry in entries}
     assert times["nearest_unknown"] < times["random"]
+
+
+def test_weights_are_chosen_on_other_houses_than_they_are_tested_on(cfg):
+    found = validate(cfg, Spread())
+    records = evaluate(
+        cfg, lambda env: Spread(), house_set="validation", count=6, epsilon=cfg.evaluation.epsilon
+    )
+    assert [record["seed"] for record in records] == list(range(1_000_000, 1_000_006))
+    assert found["finished"] == sum(record["T_100"] is not None for record in records) / 6
+    times = [record["T_90"] or record["max_steps"] for record in records]
+    assert found["T_90"] == pytest.approx(sum(times) / 6)
