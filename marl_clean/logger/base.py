@@ -1,0 +1,89 @@
+"""Where the numbers of a training run go: into files, and before the eyes of who waits."""
+
+import sys
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+
+CLOCK = "time/"
+"""Names that start so depend on the clock: equal runs differ in them."""
+
+SHOWN = ("loss", "epsilon", "coverage")
+
+
+class Logger(ABC):
+    """Keeps one row of named numbers for every so many frames."""
+
+    @abstractmethod
+    def resume(self, frames: int) -> None:
+        """Forget what was logged after `frames`: the run goes on from there."""
+
+    @abstractmethod
+    def log(self, frames: int, values: Mapping[str, float]) -> None:
+        """Keep the values of a run that has played `frames` frames."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Put everything on the disk."""
+
+
+class Progress:
+    """Shows how far a run is: a bar where stderr is a terminal, else a line now and then.
+
+    Args:
+        total_frames: the run's budget.
+        first_frames: those played before, by a run that this one goes on from.
+        every_seconds: between lines where there is no terminal.
+    """
+
+    def __init__(self, total_frames: int, first_frames: int, every_seconds: float = 30.0) -> None:
+        self.total, self.first = total_frames, first_frames
+        self.every_seconds = every_seconds
+        self.started = self.said = time.monotonic()
+        self.console = Console(stderr=True, soft_wrap=True)
+        self.bar = Bar(
+            TextColumn("{task.completed:,.0f} frames"),
+            BarColumn(),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[shown]}"),
+            TimeRemainingColumn(),
+            console=self.console,
+            disable=not sys.stderr.isatty(),
+        )
+        self.task = self.bar.add_task("", total=total_frames, completed=first_frames, shown="")
+
+    def __enter__(self) -> "Progress":
+        self.bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.bar.stop()
+
+    def frames_per_second(self, frames: int) -> float:
+        """Return the speed since this process began to train."""
+        return (frames - self.first) / max(time.monotonic() - self.started, 1e-9)
+
+    def show(self, frames: int, values: Mapping[str, float]) -> None:
+        """Show the state of a run that has played `frames` frames."""
+        speed = self.frames_per_second(frames)
+        parts = [f"{speed:,.0f} frames/s"]
+        parts += [f"{name} {values[name]:.3g}" for name in SHOWN if name in values]
+        self.bar.update(self.task, completed=frames, shown="  ".join(parts))
+        if self.bar.disable and time.monotonic() - self.said >= self.every_seconds:
+            self.said = time.monotonic()
+            left = (self.total - frames) / max(speed, 1e-9)
+            self.say(f"{frames:,} of {self.total:,} frames  {'  '.join(parts)}  {left:.0f} s left")
+
+    def say(self, line: str) -> None:
+        """Write one line to stderr, above the bar where there is one."""
+        self.console.print(line, markup=False, highlight=False)

@@ -1,0 +1,35 @@
+"""Curves for TensorBoard, by TorchRL's logger."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from torchrl.record.loggers import TensorboardLogger
+
+from marl_clean.logger.base import Logger
+
+
+class TensorBoard(Logger):
+    """Write every value, those of the clock too, into the run's folder `tensorboard`.
+
+    A run that goes on from a checkpoint writes the frames after it once more, with the same
+    values.
+
+    Args:
+        folder: the run's.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.writer: TensorboardLogger | None = None
+
+    def resume(self, frames: int) -> None:
+        self.writer = TensorboardLogger("tensorboard", str(self.folder))
+
+    def log(self, frames: int, values: Mapping[str, float]) -> None:
+        assert self.writer is not None, "resume() opens the file"
+        for name, value in values.items():
+            self.writer.log_scalar(name, value, step=frames)
+
+    def close(self) -> None:
+        if self.writer is not None:
+            self.writer.experiment.close()

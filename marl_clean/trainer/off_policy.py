@@ -1,0 +1,332 @@
+"""The off-policy loop: play, remember, learn; and now and then log, evaluate, save."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType
+
+from marl_clean import keys
+from marl_clean.agent.base import Agent
+from marl_clean.checkpoint import FOLDER, Checkpoints
+from marl_clean.errors import BadInput
+from marl_clean.logger.base import CLOCK, Logger, Progress
+from marl_clean.settings import NonNegativeInt, PositiveFloat, PositiveInt
+from marl_clean.trainer.base import (
+    CarriedCollector,
+    Diverged,
+    Interrupts,
+    Stopped,
+    Tally,
+    Windows,
+    random_state,
+    replay_state,
+    restore_random,
+    restore_replay,
+)
+
+Evaluate = Callable[[TensorDictModuleBase], Mapping[str, float]]
+COUNTERS = ("frames", "updates", "logged", "evaluated", "saved")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a run.
+
+    Attributes:
+        frames, updates: played and learnt in all.
+        best: frames and measures of the weights chosen on validation houses; None without any.
+        was_finished: nothing was left to do.
+    """
+
+    frames: int
+    updates: int
+    best: dict[str, Any] | None
+    was_finished: bool
+
+
+class OffPolicy:
+    """Train an agent from replayed experience, in a budget of frames.
+
+    Every block of frames: play with exploration, close the n-step windows, remember them, learn
+    from `replay_ratio` remembered frames for every new one. At fixed frames: log, evaluate and
+    keep the best weights, save the state. The same call goes on from the newest state, exactly:
+    on a CPU with one thread its weights and rows are those of the uninterrupted run.
+
+    Args:
+        total_frames: the run's length; a frame is one step of one world with all its robots.
+        frames_per_batch: frames played between learning; a multiple of the number of worlds.
+        buffer_frames: frames remembered.
+        batch_frames: frames in one update.
+        replay_ratio: frames learnt from for each new one.
+        start_frames: frames played before the first update.
+        log_interval_frames, eval_interval_frames, checkpoint_interval_frames: how often.
+        select_by: the measure of the evaluation by which weights are chosen.
+        select_lowest: whether the lowest is the best.
+    """
+
+    def __init__(
+        self,
+        total_frames: PositiveInt,
+        frames_per_batch: PositiveInt,
+        buffer_frames: PositiveInt,
+        batch_frames: PositiveInt,
+        replay_ratio: PositiveFloat,
+        start_frames: NonNegativeInt,
+        log_interval_frames: PositiveInt,
+        eval_interval_frames: PositiveInt,
+        checkpoint_interval_frames: PositiveInt,
+        select_by: str,
+        select_lowest: bool,
+    ) -> None:
+        self.total_frames = total_frames
+        self.frames_per_batch = frames_per_batch
+        self.buffer_frames = buffer_frames
+        self.batch_frames = batch_frames
+        self.replay_ratio = replay_ratio
+        self.start_frames = start_frames
+        self.log_interval_frames = log_interval_frames
+        self.eval_interval_frames = eval_interval_frames
+        self.checkpoint_interval_frames = checkpoint_interval_frames
+        self.select_by = select_by
+        self.select_lowest = select_lowest
+
+    def train(
+        self,
+        env: EnvBase,
+        agent: Agent,
+        evaluate: Evaluate,
+        loggers: Iterable[Logger],
+        folder: Path,
+    ) -> Outcome:
+        """Train `agent` in `env` until the budget is spent; resume what `folder` holds.
+
+        `evaluate` measures a policy on validation houses and names what it measured.
+
+        Raises:
+            BadInput: a setting that does not fit the env, damaged checkpoints, a full disk.
+            Diverged: a number became NaN or infinite; nothing of it was saved.
+            SystemExit: 143 or 130, after SIGTERM or SIGINT, when the state is saved.
+        """
+        checkpoints = Checkpoints(folder / FOLDER)
+        final = checkpoints.newest("final")
+        if final is not None:
+            return Outcome(final.frames, final.notes["updates"], final.notes["best"], True)
+        run = _Run(self, env, agent, evaluate, list(loggers), checkpoints)
+        run.resume()
+        with Interrupts() as interrupts, Progress(self.total_frames, run.frames) as progress:
+            try:
+                while True:
+                    run.report(interrupts, progress)
+                    if interrupts.signal or run.due(self.checkpoint_interval_frames, run.saved):
+                        run.save()
+                    if interrupts.signal:
+                        raise SystemExit(128 + interrupts.signal)
+                    if run.frames >= self.total_frames:
+                        return run.finish()
+                    run.play()
+                    run.learn()
+            finally:
+                run.close()
+
+
+class _Run:
+    """The live parts of one run, and how far it is."""
+
+    def __init__(
+        self,
+        settings: OffPolicy,
+        env: EnvBase,
+        agent: Agent,
+        evaluate: Evaluate,
+        loggers: list[Logger],
+        checkpoints: Checkpoints,
+    ) -> None:
+        num_envs = env.batch_size.numel()
+        if settings.frames_per_batch % num_envs:
+            near = max(1, settings.frames_per_batch // num_envs) * num_envs
+            raise BadInput(
+                f"trainer.frames_per_batch={settings.frames_per_batch}: must be a multiple of"
+                f" env.num_envs={num_envs}, such as {near}"
+            )
+        self.settings, self.env, self.agent = settings, env, agent
+        self.evaluate, self.loggers, self.checkpoints = evaluate, loggers, checkpoints
+        self.collector = CarriedCollector(
+            env,
+            agent.exploration(env.full_action_spec),
+            frames_per_batch=settings.frames_per_batch,
+            total_frames=-1,
+            exploration_type=ExplorationType.RANDOM,
+            track_traj_ids=False,
+            auto_register_policy_transforms=False,
+        )
+        self.blocks = iter(self.collector)
+        self.windows = Windows(agent.n_steps, agent.gamma)
+        self.replay = TensorDictReplayBuffer(
+            storage=LazyTensorStorage(settings.buffer_frames, device=env.device),
+            batch_size=settings.batch_frames,
+        )
+        self.tally = Tally()
+        self.frames = self.updates = 0
+        self.logged = self.evaluated = self.saved = 0  # frames at the last time
+        self.best: dict[str, Any] | None = None
+
+    def play(self) -> None:
+        """Play a block of frames with exploration, and remember what can be learnt from."""
+        block = next(self.blocks)
+        self.frames += block.numel()
+        self.agent.anneal(self.frames / self.settings.total_frames)
+        later = block["next"]
+        if not later[keys.REWARD].isfinite().all():
+            raise Diverged(f"frame {self.frames}: a reward is NaN or infinite")
+        ready = self.windows.inv(block.select(*self.agent.learns_from))
+        if ready is not None:
+            ready = ready.select(*self.agent.learns_from, keys.STEPS_TO_NEXT_OBS)
+            self.replay.extend(ready.flatten())
+        done = later[keys.DONE].squeeze(-1)
+        self.tally.add("reward", later[keys.REWARD])
+        self.tally.add("return", later[keys.EPISODE_REWARD].mean((-2, -1)), where=done)
+        self.tally.add("finished", later[keys.TERMINATED].squeeze(-1).double(), where=done)
+
+    def learn(self) -> None:
+        """Learn as often as the frames played since the start allow."""
+        settings = self.settings
+        learnable = max(0, self.frames - settings.start_frames) * settings.replay_ratio
+        owed = int(learnable / settings.batch_frames) - self.updates
+        if not len(self.replay) or owed <= 0:
+            return
+        measures = [self.agent.update(self.replay.sample()) for _ in range(owed)]
+        for name in measures[0]:
+            values = torch.stack([measured[name] for measured in measures])
+            if not values.isfinite().all():
+                update = self.updates + 1 + int(values.isfinite().logical_not().nonzero()[0])
+                raise Diverged(
+                    f"update {update}, frame {self.frames}: {name} is NaN or infinite;"
+                    " nothing of it is saved; a smaller agent.lr may help"
+                )
+            self.tally.add(name, values)
+        self.updates += owed
+
+    def report(self, interrupts: Interrupts, progress: Progress) -> None:
+        """Evaluate and write a row, each if it is due; show how far the run is."""
+        ended = self.frames >= self.settings.total_frames
+        row = {}
+        if self.due(self.settings.eval_interval_frames, self.evaluated) or (
+            ended and self.evaluated < self.frames
+        ):
+            try:
+                with interrupts.breakable():
+                    row = self._evaluate()
+            except Stopped:  # done anew when the run goes on
+                return
+        if self.due(self.settings.log_interval_frames, self.logged) or row:
+            row |= self.tally.means() | {
+                "epsilon": self.agent.epsilon,
+                "updates": self.updates,
+                "coverage": self._coverage(),
+                f"{CLOCK}frames_per_second": progress.frames_per_second(self.frames),
+            }
+            for logger in self.loggers:
+                logger.log(self.frames, row)
+            self.logged = self.frames
+        progress.show(self.frames, row)
+
+    def _evaluate(self) -> dict[str, float]:
+        """Measure the greedy policy on validation houses; keep its weights if they are best."""
+        cuda = [self.env.device] if self.env.device.type == "cuda" else []
+        with torch.random.fork_rng(devices=cuda), torch.no_grad():
+            measured = dict(self.evaluate(self.agent.policy()))
+        by = self.settings.select_by
+        if by not in measured:
+            raise BadInput(f"trainer.select_by={by}: valid: {', '.join(sorted(measured))}")
+        sign = 1 if self.settings.select_lowest else -1
+        if self.best is None or sign * measured[by] < sign * self.best["measured"][by]:
+            self.best = {"frames": self.frames, "measured": measured, "weights": self._weights()}
+            self._save_best()
+        self.evaluated = self.frames
+        return {f"validation/{name}": value for name, value in measured.items()}
+
+    def _save_best(self) -> None:
+        if self.best is not None:
+            frames, notes = self.best["frames"], self.best["measured"]
+            self.checkpoints.save("best", frames, self.best["weights"], notes)
+
+    def _weights(self) -> dict[str, Tensor]:
+        """Return a copy of the network's weights. Raises Diverged where one is not finite."""
+        weights = self.agent.network.state_dict()
+        for name, weight in weights.items():
+            if not weight.isfinite().all():
+                raise Diverged(f"update {self.updates}: weight {name} is NaN or infinite")
+        return {name: weight.clone() for name, weight in weights.items()}
+
+    def _coverage(self) -> float:
+        """Return the share of free cells cleaned so far, mean over the worlds now played."""
+        state = self.env.base_env.state
+        return float((state.num_visited.double() / state.num_free).mean())
+
+    def due(self, interval: int, last: int) -> bool:
+        """Tell whether `interval` frames have been played since `last`."""
+        return self.frames - last >= interval
+
+    def save(self) -> None:
+        """Save everything that the run goes on from."""
+        self._weights()
+        self.saved = self.frames
+        device = self.env.device
+        state = {
+            "counters": {name: getattr(self, name) for name in COUNTERS},
+            "best": self.best,
+            "agent": self.agent.state_dict(),
+            "env": dict(self.env.base_env.state_dict()),
+            "carried": self.collector.state(),
+            "windows": self.windows.state(),
+            "replay": replay_state(self.replay),
+            "tally": self.tally.state(),
+            "random": random_state(device),
+        }
+        self.checkpoints.save("state", self.frames, state, {})
+
+    def resume(self) -> None:
+        """Go on from the newest state, if there is one."""
+        newest = self.checkpoints.newest("state")
+        if newest is not None:
+            self._restore(newest.tree)
+            self.checkpoints.forget_after(self.frames)
+            self._save_best()
+        self.agent.anneal(self.frames / self.settings.total_frames)
+        for logger in self.loggers:
+            logger.resume(self.logged)
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        device = self.env.device
+        for name, value in state["counters"].items():
+            setattr(self, name, value)
+        self.best = state["best"]
+        self.agent.load_state_dict(state["agent"])
+        self.env.base_env.load_state_dict(state["env"])
+        self.collector.restore(state["carried"].to(device))
+        windows = state["windows"]
+        self.windows.restore(None if windows is None else windows.to(device))
+        restore_replay(self.replay, state["replay"])
+        self.tally.restore(state["tally"])
+        restore_random(state["random"], device)
+
+    def finish(self) -> Outcome:
+        """Save the last weights; the states are then of no more use."""
+        best = self.best and {"frames": self.best["frames"], **self.best["measured"]}
+        notes = {"updates": self.updates, "best": best}
+        self.checkpoints.save("final", self.frames, self._weights(), notes)
+        self.checkpoints.remove("state")
+        return Outcome(self.frames, self.updates, best, was_finished=False)
+
+    def close(self) -> None:
+        """Let go of the collector, and put all rows on the disk."""
+        self.collector.shutdown(close_env=False)
+        for logger in self.loggers:
+            logger.close()
