@@ -8,7 +8,7 @@ from rich.console import Console
 from marl_clean import build
 from marl_clean.evaluation.evaluator import measure_beside_planners, measure_planner
 from marl_clean.evaluation.records import Entry, write_entries
-from marl_clean.evaluation.table import make_table
+from marl_clean.evaluation.table import make_table, output
 from marl_clean.stored import find_run
 
 
@@ -24,7 +24,7 @@ def main(cfg: DictConfig, out: Path, console: Console | None = None) -> list[Ent
         policy = build.load_policy(find_run(cfg.checkpoint)).to(cfg.device)
         entries = measure_beside_planners(cfg, policy, cfg.name)
     write_entries(out, entries)
-    console = console or Console()
+    console = console or output()
     console.print(make_table(entries))
     console.print(f"written to {out}", soft_wrap=True)
     return entries

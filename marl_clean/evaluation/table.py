@@ -3,36 +3,47 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+from rich import box
+from rich.console import Console
 from rich.table import Table
 
 from marl_clean.evaluation.records import Entry, sample
 
 YARDSTICK = "nearest_unknown"
 NONE = "-"
+WIDTH = 114  # characters that the table needs
+CAPTION = (
+    "Means over houses, with 95 % intervals. A house not finished counts as its max_steps.\n"
+    f"x: the mean as a multiple of {YARDSTICK}'s. Coverage is that at max_steps."
+)
+
+
+def output() -> Console:
+    """Standard output, as wide as the table needs: a long line is better than a cut number."""
+    return Console(width=max(Console().width, WIDTH))
 
 
 def make_table(entries: Sequence[Entry]) -> Table:
-    """Rows in the order given, grouped by the set of houses; means with 95 % intervals."""
+    """Rows in the order given; each is compared with the yardstick on its own houses."""
     first = entries[0]
-    title = f"{len(first['houses'])} houses, {first['n_agents']} robots"
-    table = Table(title=title, caption=CAPTION)
+    table = Table(
+        title=f"{len(first['houses'])} houses ({first['house_set']}), {first['n_agents']} robots",
+        caption=CAPTION,
+        caption_justify="left",
+        box=box.SIMPLE_HEAD,
+    )
     several = len({entry["house_set"] for entry in entries}) > 1
     if several:
         table.add_column("houses", overflow="fold")
-    table.add_column("policy", overflow="fold")
-    for title in ("finished", "T_90", "T_100", "T_90 ratio", "T_100 ratio", "coverage", "redund."):
-        table.add_column(title, justify="right")
+    table.add_column("policy", no_wrap=True)
+    for title in ("finished", "T_90", "x", "T_100", "x", "coverage", "redundancy"):
+        table.add_column(title, justify="right", no_wrap=True)
     for entry in entries:
         yardstick = next((other for other in entries if is_yardstick(other, entry)), None)
         cells = [entry["policy"], *row_of(entry, yardstick)]
         table.add_row(*([entry["house_set"], *cells] if several else cells))
     return table
-
-
-CAPTION = (
-    "mean [95 % interval]; a house not finished counts as its max_steps; "
-    f"ratio: of the mean to {YARDSTICK}'s; coverage: at max_steps"
-)
 
 
 def is_yardstick(candidate: Entry, entry: Entry) -> bool:
@@ -47,8 +58,9 @@ def row_of(entry: Entry, yardstick: Entry | None) -> list[str]:
     return [
         percent(summary["T_100"]["reached"]),
         interval(summary["T_90"]),
+        ratio_to(yardstick, entry, "T_90"),
         interval(summary["T_100"]),
-        *(ratio_to(yardstick, entry, measure) for measure in ("T_90", "T_100")),
+        ratio_to(yardstick, entry, "T_100"),
         percent(summary["coverage"]["mean"]),
         f"{summary['redundancy']['mean']:.2f}",
     ]
@@ -72,5 +84,5 @@ def ratio_to(yardstick: Entry | None, entry: Entry, measure: str) -> str:
     """A policy's mean as a multiple of the yardstick's on the same houses."""
     if yardstick is None:
         return NONE
-    ours, theirs = (sample([one["houses"]], measure).mean() for one in (entry, yardstick))
+    ours, theirs = (np.mean(sample([one["houses"]], measure)) for one in (entry, yardstick))
     return f"{ours / theirs:.2f}" if theirs else NONE
