@@ -12,7 +12,7 @@ from marl_clean.evaluation.records import Entry, sample
 
 YARDSTICK = "nearest_unknown"
 NONE = "-"
-WIDTH = 114  # characters that the table needs
+WIDTH = 126  # characters that the table needs
 CAPTION = (
     "Means over houses, with 95 % intervals. A house not finished counts as its max_steps.\n"
     f"x: the mean as a multiple of {YARDSTICK}'s. Coverage is that at max_steps."

@@ -6,6 +6,7 @@ last name share a panel.
 """
 
 import csv
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -14,12 +15,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
+from marl_clean import files
 from marl_clean.errors import BadInput
 from marl_clean.report.axes import STYLE, new_figure, unit
-from marl_clean.viewer import ROBOTS
+from marl_clean.viewer import INK, ROBOTS
 
 FRAMES = "frames"
-FIRST = ("finished", "T_90", "T_100", "coverage", "episode_reward", "loss", "epsilon")
+FIRST = ("finished", "T_90", "T_100", "coverage", "return", "redundancy", "loss", "epsilon")
+RIVAL = "nearest_unknown"
+TRAINING = "training"  # where a column's name has no first part
+COLOURS = {TRAINING: ROBOTS[0], "validation": ROBOTS[1]}
 MOST_PANELS = 8
 PANELS_A_ROW = 4
 FEW = 40  # points that are worth a mark each
@@ -27,10 +32,16 @@ FEW = 40  # points that are worth a mark each
 Series = list[tuple[float, float]]  # (frames, value)
 
 
-def draw_curve(metrics: Path, path: Path) -> None:
-    """Draw `metrics` into the picture `path`. Raises BadInput where there is nothing to draw."""
+def draw_curve(metrics: Path, path: Path, rival: Mapping[str, float] | None = None) -> None:
+    """Draw `metrics` into the picture `path`, with a rival's means as lines to get below.
+
+    `rival` is nearest_unknown, by the names of the measures. Raises BadInput where there is
+    nothing to draw.
+    """
+    content = io.BytesIO()
     with matplotlib.rc_context(STYLE):
-        plot_curve(read_metrics(metrics)).savefig(path, dpi=150)
+        plot_curve(read_metrics(metrics), rival or {}).savefig(content, dpi=150, format="png")
+    files.write_file(path, [content.getvalue()])
 
 
 def read_metrics(metrics: Path) -> dict[str, Series]:
@@ -50,15 +61,19 @@ def read_metrics(metrics: Path) -> dict[str, Series]:
     return {name: points for name, points in columns.items() if points}
 
 
-def plot_curve(columns: Mapping[str, Series]) -> Figure:
+def plot_curve(columns: Mapping[str, Series], rival: Mapping[str, float]) -> Figure:
     """One panel for each thing, the most telling first."""
     shown = panels(list(columns))[:MOST_PANELS]
     rows = -(-len(shown) // PANELS_A_ROW)
     figure = new_figure(2.6 * min(len(shown), PANELS_A_ROW), 2.2 * rows)
-    axes = figure.subplots(rows, min(len(shown), PANELS_A_ROW), squeeze=False).flat
+    axes = figure.subplots(rows, min(len(shown), PANELS_A_ROW), squeeze=False).flatten()
     for panel, name in zip(axes, shown, strict=False):
         _plot_panel(panel, name, {key: columns[key] for key in columns if last(key) == name})
-    for panel in list(axes)[len(shown) :]:
+        if name in rival:
+            panel.axhline(rival[name], color=unit(INK), linestyle="--", linewidth=1.0, label=RIVAL)
+        if len(panel.get_lines()) > 1:
+            panel.legend(frameon=False, fontsize=7)
+    for panel in axes[len(shown) :]:
         panel.set_axis_off()
     return figure
 
@@ -77,14 +92,11 @@ def last(name: str) -> str:
 def _plot_panel(axes: Axes, title: str, columns: Mapping[str, Series]) -> None:
     for index, (name, points) in enumerate(columns.items()):
         frames, values = zip(*points, strict=True)
+        label = name.rpartition("/")[0] or TRAINING
+        colour = unit(COLOURS.get(label, ROBOTS[(2 + index) % len(ROBOTS)]))
         mark = "." if len(points) <= FEW else None
-        label = name.rpartition("/")[0] or None
-        axes.plot(
-            frames, values, marker=mark, linewidth=1.2, color=unit(ROBOTS[index]), label=label
-        )
+        axes.plot(frames, values, marker=mark, linewidth=1.2, color=colour, label=label)
     axes.set_title(title, loc="left")
     axes.set_xlabel(FRAMES)
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     axes.grid(alpha=0.25, linewidth=0.5)
-    if len(columns) > 1:
-        axes.legend(frameon=False, fontsize=7)

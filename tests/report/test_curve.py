@@ -24,10 +24,13 @@ def test_columns_of_one_thing_share_a_panel_and_the_result_comes_first(tmp_path)
     (tmp_path / "metrics.csv").write_text(CSV)
     columns = read_metrics(tmp_path / "metrics.csv")
     assert panels(list(columns)) == ["T_90", "coverage", "loss"]
-    figure = plot_curve(columns)
+    figure = plot_curve(columns, {"T_90": 47.0})
     coverage = next(axes for axes in figure.axes if axes.get_title(loc="left") == "coverage")
     assert [line.get_label() for line in coverage.get_lines()] == ["train", "validation"]
     assert coverage.get_lines()[1].get_ydata().tolist() == [0.3, 0.5]
+    lines = figure.axes[0].get_lines()
+    assert [line.get_label() for line in lines] == ["validation", "nearest_unknown"]
+    assert list(lines[1].get_ydata()) == [47.0, 47.0]
 
 
 def test_a_picture_is_written(tmp_path):
