@@ -57,6 +57,7 @@ class Iql(Agent):
             the one to the other over this fraction of the frames, and stays.
         precision: the encoder's arithmetic; bfloat16 is faster.
         augment: learn from each frame turned or mirrored, the same way for all its robots.
+        device: where the network lives.
     """
 
     learns_from = (
@@ -84,13 +85,14 @@ class Iql(Agent):
         annealing_fraction: Probability,
         precision: Literal["float32", "bfloat16"],
         augment: bool,
+        device: torch.device | str = "cpu",
     ) -> None:
         self.gamma, self.n_steps = gamma, n_steps
         self.eps_init, self.eps_end, self.annealing_fraction = eps_init, eps_end, annealing_fraction
         self.max_grad_norm = max_grad_norm
         self.augment = augment
-        self.network = QNetwork(encoder, comm, dueling, precision).eval()
-        self._greedy = self._acting([keys.ACTION_VALUE, "_", "_"])
+        self.network = QNetwork(encoder, comm, dueling, precision).to(device).eval()
+        self._greedy = self._acting([keys.ACTION_VALUE, "_", "_"]).eval()
         self._loss = DQNLoss(
             self._greedy, loss_function=loss, double_dqn=double, action_space="categorical"
         )
@@ -116,7 +118,7 @@ class Iql(Agent):
 
     def policy(self) -> TensorDictSequential:
         """Return the greedy policy; it follows the weights as they are learnt."""
-        return self._acting([keys.ACTION_VALUE, keys.MESSAGE, keys.MESSAGE_BITS])
+        return self._acting([keys.ACTION_VALUE, keys.MESSAGE, keys.MESSAGE_BITS]).eval()
 
     def _acting(self, out_keys: list[NestedKey]) -> TensorDictSequential:
         """Return the network and the choice of each robot's best action."""
@@ -134,7 +136,8 @@ class Iql(Agent):
 
         It explores only under TorchRL's `ExplorationType.RANDOM`, as a Collector sets it.
         """
-        self._coin = EGreedyModule(action_spec, action_key=keys.ACTION)
+        device = next(self.network.parameters()).device
+        self._coin = EGreedyModule(action_spec, action_key=keys.ACTION, device=device)
         self._coin.eps.fill_(self.epsilon)
         return TensorDictSequential(self._greedy, self._coin)
 
@@ -168,9 +171,8 @@ class Iql(Agent):
         for key in (keys.DONE, keys.TERMINATED):
             ending = frames["next", key].unsqueeze(-1).expand(reward.shape)
             frames["next", keys.AGENTS, key] = ending
-        if self.n_steps > 1:
-            steps = batch[keys.STEPS_TO_NEXT_OBS]
-            frames[keys.STEPS_TO_NEXT_OBS] = steps[:, None, None].expand(reward.shape)
+        steps = batch[keys.STEPS_TO_NEXT_OBS]
+        frames[keys.STEPS_TO_NEXT_OBS] = steps[:, None, None].expand(reward.shape)
         if self.augment:
             now, then = frames[keys.OBSERVATION], frames["next", keys.OBSERVATION]
             (now, then), action = symmetry.turn_in_eighths([now, then], frames[keys.ACTION])

@@ -45,6 +45,7 @@ class Progress:
         self.total, self.first = total_frames, first_frames
         self.every_seconds = every_seconds
         self.started = self.said = time.monotonic()
+        self.latest: dict[str, float] = {}
         self.console = Console(stderr=True, soft_wrap=True)
         self.bar = Bar(
             TextColumn("{task.completed:,.0f} frames"),
@@ -74,10 +75,11 @@ class Progress:
         return (frames - self.first) / max(time.monotonic() - self.started, 1e-9)
 
     def show(self, frames: int, values: Mapping[str, float]) -> None:
-        """Show the state of a run that has played `frames` frames."""
+        """Show a run that has played `frames` frames; what has no new value keeps its last."""
+        self.latest |= values
         speed = self.frames_per_second(frames)
         parts = [f"{speed:,.0f} frames/s"]
-        parts += [f"{name} {values[name]:.3g}" for name in SHOWN if name in values]
+        parts += [f"{name} {self.latest[name]:.3g}" for name in SHOWN if name in self.latest]
         self.bar.update(self.task, completed=frames, shown="  ".join(parts))
         if self.bar.disable and time.monotonic() - self.said >= self.every_seconds:
             self.said = time.monotonic()

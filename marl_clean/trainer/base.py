@@ -4,6 +4,7 @@ import signal
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import FrameType, TracebackType
 from typing import Any
 
@@ -15,6 +16,7 @@ from torchrl.data import TensorDictReplayBuffer
 from torchrl.envs import MultiStepTransform
 
 from marl_clean import keys
+from marl_clean.checkpoint import Checkpoints
 from marl_clean.errors import BadInput
 
 
@@ -24,6 +26,22 @@ class Diverged(BadInput):
 
 class Stopped(Exception):
     """A signal came while something ran that may be broken off."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a run.
+
+    Attributes:
+        frames, updates: played and learnt in all.
+        best: frames and measures of the weights chosen on validation houses; None without any.
+        was_finished: nothing was left to do.
+    """
+
+    frames: int
+    updates: int
+    best: dict[str, Any] | None
+    was_finished: bool
 
 
 class Interrupts:
@@ -126,6 +144,41 @@ def restore_random(states: Mapping[str, Tensor], device: torch.device) -> None:
     torch.set_rng_state(states["cpu"])
     if device.type == "cuda":
         torch.cuda.set_rng_state(states["cuda"], device)
+
+
+class Best:
+    """The weights that a measure on validation houses chose so far, saved as they are chosen.
+
+    Attributes:
+        by: the measure; of times (T_...) the lowest is best, of all others the highest.
+        found: frames, measured and weights of the best; None before the first evaluation.
+    """
+
+    def __init__(self, by: str, checkpoints: Checkpoints) -> None:
+        self.by, self.checkpoints = by, checkpoints
+        self.sign = -1.0 if by.startswith("T_") else 1.0
+        self.found: dict[str, Any] | None = None
+
+    def offer(self, frames: int, measured: Mapping[str, float], weights: dict[str, Tensor]) -> None:
+        """Keep and save the weights if they are better than all before."""
+        if self.by not in measured:
+            raise BadInput(f"trainer.select_by={self.by}: valid: {', '.join(sorted(measured))}")
+        value = self.sign * measured[self.by]
+        if self.found is None or value > self.sign * self.found["measured"][self.by]:
+            self.found = {"frames": frames, "measured": dict(measured), "weights": weights}
+            self.save()
+
+    def save(self) -> None:
+        """Save the best again, where a run that goes on does not find it."""
+        if self.found is not None:
+            frames, measured = self.found["frames"], self.found["measured"]
+            self.checkpoints.save("best", frames, self.found["weights"], measured)
+
+    def summary(self) -> dict[str, Any] | None:
+        """Return frames and measures of the best, without its weights."""
+        if self.found is None:
+            return None
+        return {"frames": self.found["frames"], **self.found["measured"]}
 
 
 class Tally:

@@ -1,9 +1,8 @@
 """The off-policy loop: play, remember, learn; and now and then log, evaluate, save."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from tensordict.nn import TensorDictModuleBase
@@ -19,9 +18,11 @@ from marl_clean.errors import BadInput
 from marl_clean.logger.base import CLOCK, Logger, Progress
 from marl_clean.settings import NonNegativeInt, PositiveFloat, PositiveInt
 from marl_clean.trainer.base import (
+    Best,
     CarriedCollector,
     Diverged,
     Interrupts,
+    Outcome,
     Stopped,
     Tally,
     Windows,
@@ -33,22 +34,6 @@ from marl_clean.trainer.base import (
 
 Evaluate = Callable[[TensorDictModuleBase], Mapping[str, float]]
 COUNTERS = ("frames", "updates", "logged", "evaluated", "saved")
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a run.
-
-    Attributes:
-        frames, updates: played and learnt in all.
-        best: frames and measures of the weights chosen on validation houses; None without any.
-        was_finished: nothing was left to do.
-    """
-
-    frames: int
-    updates: int
-    best: dict[str, Any] | None
-    was_finished: bool
 
 
 class OffPolicy:
@@ -67,8 +52,7 @@ class OffPolicy:
         replay_ratio: frames learnt from for each new one.
         start_frames: frames played before the first update.
         log_interval_frames, eval_interval_frames, checkpoint_interval_frames: how often.
-        select_by: the measure of the evaluation by which weights are chosen.
-        select_lowest: whether the lowest is the best.
+        select_by: the measure on validation houses by which the best weights are chosen.
     """
 
     def __init__(
@@ -82,8 +66,7 @@ class OffPolicy:
         log_interval_frames: PositiveInt,
         eval_interval_frames: PositiveInt,
         checkpoint_interval_frames: PositiveInt,
-        select_by: str,
-        select_lowest: bool,
+        select_by: Literal["T_90", "T_95", "T_99", "T_100", "finished", "coverage_auc", "return"],
     ) -> None:
         self.total_frames = total_frames
         self.frames_per_batch = frames_per_batch
@@ -95,7 +78,6 @@ class OffPolicy:
         self.eval_interval_frames = eval_interval_frames
         self.checkpoint_interval_frames = checkpoint_interval_frames
         self.select_by = select_by
-        self.select_lowest = select_lowest
 
     def train(
         self,
@@ -175,7 +157,7 @@ class _Run:
         self.tally = Tally()
         self.frames = self.updates = 0
         self.logged = self.evaluated = self.saved = 0  # frames at the last time
-        self.best: dict[str, Any] | None = None
+        self.best = Best(settings.select_by, checkpoints)
 
     def play(self) -> None:
         """Play a block of frames with exploration, and remember what can be learnt from."""
@@ -215,17 +197,14 @@ class _Run:
 
     def report(self, interrupts: Interrupts, progress: Progress) -> None:
         """Evaluate and write a row, each if it is due; show how far the run is."""
-        ended = self.frames >= self.settings.total_frames
-        row = {}
-        if self.due(self.settings.eval_interval_frames, self.evaluated) or (
-            ended and self.evaluated < self.frames
-        ):
+        row: dict[str, float] = {}
+        ended = self.frames >= self.settings.total_frames and self.evaluated < self.frames
+        if ended or self.due(self.settings.eval_interval_frames, self.evaluated):
             try:
-                with interrupts.breakable():
-                    row = self._evaluate()
+                row = self._evaluate(interrupts)
             except Stopped:  # done anew when the run goes on
                 return
-        if self.due(self.settings.log_interval_frames, self.logged) or row:
+        if row or self.due(self.settings.log_interval_frames, self.logged):
             row |= self.tally.means() | {
                 "epsilon": self.agent.epsilon,
                 "updates": self.updates,
@@ -237,25 +216,14 @@ class _Run:
             self.logged = self.frames
         progress.show(self.frames, row)
 
-    def _evaluate(self) -> dict[str, float]:
+    def _evaluate(self, interrupts: Interrupts) -> dict[str, float]:
         """Measure the greedy policy on validation houses; keep its weights if they are best."""
         cuda = [self.env.device] if self.env.device.type == "cuda" else []
-        with torch.random.fork_rng(devices=cuda), torch.no_grad():
-            measured = dict(self.evaluate(self.agent.policy()))
-        by = self.settings.select_by
-        if by not in measured:
-            raise BadInput(f"trainer.select_by={by}: valid: {', '.join(sorted(measured))}")
-        sign = 1 if self.settings.select_lowest else -1
-        if self.best is None or sign * measured[by] < sign * self.best["measured"][by]:
-            self.best = {"frames": self.frames, "measured": measured, "weights": self._weights()}
-            self._save_best()
+        with torch.random.fork_rng(devices=cuda), torch.no_grad(), interrupts.breakable():
+            measured = self.evaluate(self.agent.policy())
+        self.best.offer(self.frames, measured, self._weights())
         self.evaluated = self.frames
         return {f"validation/{name}": value for name, value in measured.items()}
-
-    def _save_best(self) -> None:
-        if self.best is not None:
-            frames, notes = self.best["frames"], self.best["measured"]
-            self.checkpoints.save("best", frames, self.best["weights"], notes)
 
     def _weights(self) -> dict[str, Tensor]:
         """Return a copy of the network's weights. Raises Diverged where one is not finite."""
@@ -281,7 +249,7 @@ class _Run:
         device = self.env.device
         state = {
             "counters": {name: getattr(self, name) for name in COUNTERS},
-            "best": self.best,
+            "best": self.best.found,
             "agent": self.agent.state_dict(),
             "env": dict(self.env.base_env.state_dict()),
             "carried": self.collector.state(),
@@ -298,7 +266,7 @@ class _Run:
         if newest is not None:
             self._restore(newest.tree)
             self.checkpoints.forget_after(self.frames)
-            self._save_best()
+            self.best.save()
         self.agent.anneal(self.frames / self.settings.total_frames)
         for logger in self.loggers:
             logger.resume(self.logged)
@@ -307,7 +275,7 @@ class _Run:
         device = self.env.device
         for name, value in state["counters"].items():
             setattr(self, name, value)
-        self.best = state["best"]
+        self.best.found = state["best"]
         self.agent.load_state_dict(state["agent"])
         self.env.base_env.load_state_dict(state["env"])
         self.collector.restore(state["carried"].to(device))
@@ -319,11 +287,10 @@ class _Run:
 
     def finish(self) -> Outcome:
         """Save the last weights; the states are then of no more use."""
-        best = self.best and {"frames": self.best["frames"], **self.best["measured"]}
-        notes = {"updates": self.updates, "best": best}
+        notes = {"updates": self.updates, "best": self.best.summary()}
         self.checkpoints.save("final", self.frames, self._weights(), notes)
         self.checkpoints.remove("state")
-        return Outcome(self.frames, self.updates, best, was_finished=False)
+        return Outcome(self.frames, self.updates, self.best.summary(), was_finished=False)
 
     def close(self) -> None:
         """Let go of the collector, and put all rows on the disk."""

@@ -24,7 +24,7 @@ def main() -> None:
         )
         comm = instantiate(OmegaConf.load(level), in_features=encoder.out_features)
         network = QNetwork(encoder, comm, dueling=True, precision="float32")
-        compiled = torch.compile(network, fullgraph=True, backend="aot_eager")
+        compiled = torch.compile(network, fullgraph=True, backend="eager")
         for mine, theirs in zip(
             network(observation, live, rank), compiled(observation, live, rank), strict=True
         ):

@@ -82,7 +82,7 @@ def test_an_update_leaves_the_batch_as_it_was():
 
 
 def test_the_loss_of_one_robot_moves_what_its_neighbour_sends():
-    agent = make_agent("plan", n_steps=1)
+    agent = make_agent("plan")
     batch = transitions(1)
     batch[keys.ADJACENCY] = ~torch.eye(2, dtype=torch.bool)[None]
     agent.update(batch)

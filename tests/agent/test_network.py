@@ -39,6 +39,7 @@ def test_bfloat16_gives_nearly_the_same_values_in_float32():
     torch.testing.assert_close(exact, reduced, atol=0.02, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_compiles_in_one_graph_with_every_comm():
     root = Path(__file__).parents[2]
     command = [sys.executable, "-W", "ignore", "-m", "tests.agent.compiled"]

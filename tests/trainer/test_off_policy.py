@@ -12,23 +12,22 @@ from marl_clean.checkpoint import FOLDER, Checkpoints, load_weights
 from marl_clean.errors import BadInput
 from marl_clean.logger.csv import Csv
 from marl_clean.logger.tensorboard import TensorBoard
-from marl_clean.trainer.base import Diverged
-from marl_clean.trainer.off_policy import OffPolicy, Outcome
+from marl_clean.trainer.base import Diverged, Outcome
+from marl_clean.trainer.off_policy import OffPolicy
 from tests.agent.parts import make_agent, make_encoder
 from tests.trainer.probe import Probe, share_right
 
 SETTINGS = {
-    "total_frames": 960,
-    "frames_per_batch": 64,
-    "buffer_frames": 500,
-    "batch_frames": 32,
-    "replay_ratio": 1.5,
-    "start_frames": 100,
-    "log_interval_frames": 200,
-    "eval_interval_frames": 300,
-    "checkpoint_interval_frames": 256,
-    "select_by": "right",
-    "select_lowest": False,
+    "total_frames": 480,
+    "frames_per_batch": 48,
+    "buffer_frames": 250,
+    "batch_frames": 16,
+    "replay_ratio": 0.8,
+    "start_frames": 60,
+    "log_interval_frames": 90,
+    "eval_interval_frames": 144,
+    "checkpoint_interval_frames": 128,
+    "select_by": "return",
 }
 
 
@@ -40,7 +39,7 @@ def one_thread():
     torch.set_num_threads(before)
 
 
-def train(folder: Path, env=None, evaluate=None, agent=None, **changes) -> Outcome:
+def train(folder: Path, env=None, evaluate=None, agent=None, loggers=(), **changes) -> Outcome:
     """Train as a process of its own would: everything new but the folder."""
     folder.mkdir(exist_ok=True)
     trainer = OffPolicy(**(SETTINGS | changes))
@@ -49,8 +48,8 @@ def train(folder: Path, env=None, evaluate=None, agent=None, **changes) -> Outco
     return trainer.train(
         env or Probe(),
         agent,
-        evaluate or (lambda policy: {"right": share_right(policy), "left": 0.5}),
-        [Csv(folder), TensorBoard(folder)],
+        evaluate or (lambda policy: {"return": share_right(policy), "finished": 0.5}),
+        [Csv(folder), *loggers],
         folder,
     )
 
@@ -87,7 +86,7 @@ class Signalling(Probe):
 def uninterrupted(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "uninterrupted"
     torch.set_num_threads(1)
-    train(folder)
+    train(folder, loggers=[TensorBoard(folder)])
     return folder
 
 
@@ -95,13 +94,15 @@ def test_a_run_leaves_its_rows_and_weights_and_no_states(uninterrupted):
     rows = (uninterrupted / "metrics.csv").read_text().splitlines()
     columns = rows[0].split(",")
     assert columns[0] == "frames"
-    assert {"loss", "grad_norm", "epsilon", "updates", "coverage", "validation/right"} <= {*columns}
+    assert {"loss", "grad_norm", "epsilon", "updates", "coverage", "validation/return"} <= {
+        *columns
+    }
     assert not any(name.startswith("time/") for name in columns)
     frames = [int(row.split(",")[0]) for row in rows[1:]]
     assert frames == sorted(set(frames))
-    assert frames[-1] == 960
+    assert frames[-1] == 480
     last = dict(zip(columns, rows[-1].split(","), strict=True))
-    assert int(last["updates"]) == int((960 - 100) * 1.5 / 32)
+    assert int(last["updates"]) == int((480 - 60) * 0.8 / 16)
     kinds = {path.name.partition("-")[0] for path in (uninterrupted / FOLDER).iterdir()}
     assert kinds == {"best", "final"}
     assert list((uninterrupted / "tensorboard").glob("events*"))
@@ -111,14 +112,14 @@ def test_a_finished_run_says_so_and_does_nothing(uninterrupted):
     before = (uninterrupted / "metrics.csv").read_bytes()
     outcome = train(uninterrupted, env=Probe(bad_reward_at=1))
     assert outcome.was_finished
-    assert outcome.frames == 960
-    assert outcome.best["right"] == load_weights(uninterrupted).notes["right"]
+    assert outcome.frames == 480
+    assert outcome.best["return"] == load_weights(uninterrupted).notes["return"]
     assert (uninterrupted / "metrics.csv").read_bytes() == before
 
 
 @pytest.mark.parametrize(
     ("steps", "number", "code"),
-    [([3], signal.SIGTERM, 143), ([17], signal.SIGINT, 130), ([9, 30, 41], signal.SIGTERM, 143)],
+    [([17], signal.SIGINT, 130), ([2, 13, 26], signal.SIGTERM, 143)],
 )
 def test_an_interrupted_run_goes_on_exactly(tmp_path, uninterrupted, steps, number, code):
     folder = tmp_path / "run"
@@ -136,7 +137,7 @@ class Killed(BaseException):
     """Ends a run without a chance to save, as kill -9 does."""
 
 
-@pytest.mark.parametrize("step", [1, 15, 16, 31, 47, 58])
+@pytest.mark.parametrize("step", [1, 8, 19, 27])
 def test_a_killed_run_goes_on_from_its_last_state(tmp_path, uninterrupted, step, monkeypatch):
     folder = tmp_path / "run"
 
@@ -150,7 +151,7 @@ def test_a_killed_run_goes_on_from_its_last_state(tmp_path, uninterrupted, step,
         patch.setattr(Csv, "close", lambda self: None)
         train(folder, env=Dying())
     with (folder / "metrics.csv").open("a") as file:
-        file.write("900,torn")
+        file.write("450,torn")
     train(folder)
     assert_same_results(folder, uninterrupted)
 
@@ -165,7 +166,7 @@ def test_a_signal_breaks_off_an_evaluation_which_is_done_again(tmp_path, uninter
         if asked == 2:
             os.kill(os.getpid(), signal.SIGTERM)
             raise AssertionError("goes on after the signal")
-        return {"right": share_right(policy), "left": 0.5}
+        return {"return": share_right(policy), "finished": 0.5}
 
     with pytest.raises(SystemExit) as stopped:
         train(folder, evaluate=evaluate)
@@ -177,7 +178,7 @@ def test_a_signal_breaks_off_an_evaluation_which_is_done_again(tmp_path, uninter
 def test_an_evaluation_that_draws_random_numbers_changes_nothing(tmp_path, uninterrupted):
     def evaluate(policy):
         torch.rand(1000)
-        return {"right": share_right(policy), "left": 0.5}
+        return {"return": share_right(policy), "finished": 0.5}
 
     train(tmp_path / "run", evaluate=evaluate)
     assert_same_results(tmp_path / "run", uninterrupted)
@@ -186,7 +187,7 @@ def test_an_evaluation_that_draws_random_numbers_changes_nothing(tmp_path, unint
 def test_a_damaged_state_goes_back_to_the_one_before(tmp_path, uninterrupted, caplog):
     folder = tmp_path / "run"
     with pytest.raises(SystemExit):
-        train(folder, env=Signalling(45, signal.SIGTERM))
+        train(folder, env=Signalling(22, signal.SIGTERM))
     newest = max((folder / FOLDER).glob("state-*"))
     content = bytearray((newest / "tensors.safetensors").read_bytes())
     content[len(content) // 2] ^= 1
@@ -205,14 +206,14 @@ def test_best_weights_are_those_of_the_best_evaluation(tmp_path):
         seen.append(weights.clone())
         return {"T_100": next(scores)}
 
-    train(tmp_path / "run", evaluate=evaluate, select_by="T_100", select_lowest=True)
+    train(tmp_path / "run", evaluate=evaluate, select_by="T_100")
     best = load_weights(tmp_path / "run")
-    assert (best.frames, best.notes) == (640, {"T_100": 1.0})
+    assert (best.frames, best.notes) == (288, {"T_100": 1.0})
     assert torch.equal(best.tree["head.weight"], seen[1])
 
 
 def test_a_measure_that_does_not_exist_is_named_with_the_valid_ones(tmp_path):
-    with pytest.raises(BadInput, match=r"trainer\.select_by=T_99: valid: left, right"):
+    with pytest.raises(BadInput, match=r"trainer\.select_by=T_99: valid: finished, return"):
         train(tmp_path / "run", select_by="T_99")
 
 
@@ -222,10 +223,10 @@ def test_blocks_must_fill_all_worlds(tmp_path):
 
 
 def test_a_bad_reward_stops_the_run_before_it_is_saved(tmp_path):
-    with pytest.raises(Diverged, match=r"frame 832: a reward is NaN or infinite"):
-        train(tmp_path / "run", env=Probe(bad_reward_at=50))
+    with pytest.raises(Diverged, match=r"frame 336: a reward is NaN or infinite"):
+        train(tmp_path / "run", env=Probe(bad_reward_at=20))
     state = Checkpoints(tmp_path / "run" / FOLDER).newest("state")
-    assert state.frames == 768
+    assert state.frames == 288
     assert state.tree["replay"]["frames"]["next", "agents", "reward"].isfinite().all()
 
 
@@ -235,15 +236,16 @@ def test_a_diverging_network_stops_the_run_before_it_is_saved(tmp_path):
     def evaluate(policy):
         with torch.no_grad():
             agent.network.head.bias.fill_(torch.inf)
-        return {"right": 0.0}
+        return {"return": 0.0}
 
-    with pytest.raises(Diverged, match=r"weight head.bias|update \d+, frame 3\d\d: loss is NaN"):
+    with pytest.raises(Diverged, match=r"weight head.bias|update \d+, frame 1\d\d: loss is NaN"):
         train(tmp_path / "run", agent=agent, evaluate=evaluate)
     for path in (tmp_path / "run" / FOLDER).glob("*/tensors.safetensors"):
         tensors = load_file(path).values()
         assert all(tensor.isfinite().all() for tensor in tensors if tensor.is_floating_point())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("comm", "least", "most"), [("plan", 0.9, 1.0), ("none", 0.1, 0.45)])
 def test_the_probe_is_solved_by_talking_and_not_without(tmp_path, comm, least, most):
     agent = make_agent(comm, gamma=0.3, lr=4e-3, n_steps=1, annealing_fraction=0.6)

@@ -1,0 +1,78 @@
+"""The training loop on the real worlds: interrupted, it goes on exactly."""
+
+import pytest
+import torch
+
+from marl_clean import build, keys
+from marl_clean.checkpoint import FOLDER, Checkpoints
+from marl_clean.compose import compose_config
+from marl_clean.logger.csv import Csv
+from marl_clean.schema import instantiate
+from marl_clean.trainer.off_policy import OffPolicy
+
+SETTINGS = [
+    "env.num_envs=8",
+    "env.stuck_after=12",
+    "house.rows=[5,7]",
+    "house.cols=[5,8]",
+    "train_houses=20",
+    "trainer.frames_per_batch=64",
+    "trainer.batch_frames=16",
+    "trainer.replay_ratio=0.5",
+    "trainer.start_frames=64",
+    "trainer.buffer_frames=300",
+    "trainer.log_interval_frames=128",
+    "trainer.eval_interval_frames=256",
+    "trainer.checkpoint_interval_frames=192",
+]
+
+
+class Killed(BaseException):
+    """Ends a run without a chance to save, as kill -9 does."""
+
+
+def train(folder, overrides, die_after: int | None = None) -> None:
+    folder.mkdir(exist_ok=True)
+    cfg = compose_config([*SETTINGS, *overrides])
+    torch.manual_seed(cfg.seed)
+    env = build.make_env(cfg)
+    shape = env.observation_spec[keys.OBSERVATION].shape[2:]
+    encoder = instantiate(cfg.encoder, observation_shape=shape)
+    comm = instantiate(cfg.comm, in_features=encoder.out_features)
+    agent = instantiate(cfg.agent, encoder=encoder, comm=comm)
+    if die_after is not None:
+        step, played = env.base_env._step, 0
+
+        def dying(tensordict):
+            nonlocal played
+            played += 1
+            if played > die_after:
+                raise Killed
+            return step(tensordict)
+
+        env.base_env._step = dying
+    trainer = instantiate(cfg.trainer)
+    assert isinstance(trainer, OffPolicy)
+    trainer.train(env, agent, lambda policy: {"T_100": 1.0}, [Csv(folder)], folder)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["trainer.total_frames=512"],
+        ["trainer.total_frames=512", "env.memory=merged", "env.n_agents=3", "agent.augment=true"],
+    ],
+    ids=["shared", "merged"],
+)
+def test_a_killed_run_ends_as_the_uninterrupted_one(tmp_path, overrides):
+    train(tmp_path / "whole", overrides)
+    for die_after in (29, 30):
+        with pytest.raises(Killed):
+            train(tmp_path / "killed", overrides, die_after=die_after)
+    train(tmp_path / "killed", overrides)
+    rows = [(tmp_path / name / "metrics.csv").read_text() for name in ("whole", "killed")]
+    assert rows[0] == rows[1]
+    whole, killed = (
+        Checkpoints(tmp_path / name / FOLDER).newest("final").tree for name in ("whole", "killed")
+    )
+    assert all(torch.equal(weight, killed[name]) for name, weight in whole.items())
