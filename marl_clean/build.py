@@ -1,15 +1,22 @@
 """From a config to live objects: the one place where the rooms are put together."""
 
+from pathlib import Path
+
 import torch
 from omegaconf import DictConfig
+from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import Compose, RewardSum, TransformedEnv
 
 from marl_clean import keys
+from marl_clean.agent.base import Agent
+from marl_clean.checkpoint import fit_weights, load_weights
+from marl_clean.compose import checked
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.house.base import Houses, draw_bank, draw_houses, split_seeds
 from marl_clean.planner.base import Planner
 from marl_clean.schema import instantiate
 from marl_clean.settings import HouseOrder
+from marl_clean.stored import load_config
 
 
 def training_houses(cfg: DictConfig) -> Houses:
@@ -65,3 +72,28 @@ def make_planner(cfg: DictConfig, env: TransformedEnv) -> Planner:
     planner = instantiate(cfg.planner)
     assert isinstance(planner, Planner) and isinstance(env.base_env, CleaningEnv)
     return planner.bind(env.base_env)
+
+
+def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
+    """Build encoder, communication and learner for what robots see in `env`.
+
+    Weights are drawn from torch's global generator: seed it first.
+    """
+    seen = env.observation_spec[keys.OBSERVATION].shape[2:]
+    encoder = instantiate(cfg.encoder, observation_shape=seen)
+    comm = instantiate(cfg.comm, in_features=encoder.out_features)
+    agent = instantiate(cfg.agent, encoder=encoder, comm=comm)
+    agent.network.to(cfg.device)
+    return agent
+
+
+def load_policy(folder: Path) -> TensorDictModuleBase:
+    """Return the greedy policy of a run: the best weights on validation houses, else the last.
+
+    Raises:
+        BadInput: the run has no whole weights yet, or they do not fit its config.
+    """
+    cfg = checked(load_config(folder))
+    agent = make_agent(cfg, make_env(cfg, held_out_houses(cfg, "validation", 1), num_envs=1))
+    fit_weights(agent.network, load_weights(folder).tree, folder)
+    return agent.policy()

@@ -125,6 +125,7 @@ class Evaluation(TypedDict):
 
     house_set: HouseSet
     houses: Annotated[int, Field(ge=1, le=10_000)]
+    plans: list[str]
     epsilon: Probability
     certify: bool
 

@@ -26,13 +26,6 @@ class WorldTransform(Transform):
         """The env whose state is read."""
         return self.container.base_env
 
-    def compiled(self, function: Callable) -> Callable:
-        """Return `function`, compiled once where the env's `compile` setting says so."""
-        cache = self.__dict__.setdefault("_compiled_functions", {})
-        if function not in cache:
-            cache[function] = self.cleaning.compiled(function)
-        return cache[function]
-
     @abstractmethod
     def read(
         self, state: State, compiled: Callable[[Callable], Callable]
@@ -44,7 +37,7 @@ class WorldTransform(Transform):
         """Return the spec of every entry that `read` gives."""
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        for key, value in self.read(self.cleaning.state, self.compiled).items():
+        for key, value in self.read(self.cleaning.state, self.cleaning.compiled).items():
             next_tensordict.set(key, value)
         return next_tensordict
 
@@ -54,7 +47,7 @@ class WorldTransform(Transform):
         state = self.cleaning.state
         mask = tensordict.get("_reset", None)
         if mask is None or mask.all():
-            entries = self.read(state, self.compiled)
+            entries = self.read(state, self.cleaning.compiled)
         else:
             rows = mask.view(-1).nonzero()[:, 0]
             fresh = self.read(state.rows_of(rows), lambda function: function)

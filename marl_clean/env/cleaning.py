@@ -35,6 +35,7 @@ from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import merge_maps
 from marl_clean.world.state import State
 
+REWARD_TERMS = ("step", "cleaning", "discovery")
 Contact = Callable[[State], Bool[Tensor, "env agent agent"]]
 
 
@@ -89,7 +90,8 @@ class CleaningEnv(EnvBase):
         obstacles: whether a bump pays the first time or every time.
         furniture_moves_per_episode: moves of one piece by one cell, drawn at reset.
         furniture_moves_before_start: with knowledge=stale, moves since the robots memorised.
-        compile: compile the pure parts of a step (some 20 s once, several times faster after).
+        compile: compile the pure parts of a step (some 20 s once, several times faster after);
+            TorchRL takes this argument from every env and calls `compile()`.
         margin: cells stored around the house; at least half the view.
         house_order: whether episodes draw their house, or env i always plays house i.
         contact: who is in contact, for private and merged maps: a topology's `contact`.
@@ -152,19 +154,32 @@ class CleaningEnv(EnvBase):
         self.house_order = house_order
         self.furniture = FurnitureMoves(furniture_moves_per_episode, furniture_moves_before_start)
         self.contact = contact
-        self.compile_functions = compile
+        self._compiled: dict[Callable, Callable] | None = None
         self._houses = house_tensors(houses, n_agents, max_steps, margin, self.device)
         self._moves = torch.tensor(MOVES, device=self.device)
         self.env_index = torch.arange(first_env, first_env + num_envs, device=self.device)
-        self._advance = self.compiled(advance)
         self._make_specs()
         self._set_seed(seed)
         everyone = torch.arange(num_envs, device=self.device)
         self.state = self._begin(everyone, torch.zeros_like(everyone))
 
+    def compile(self, *, warmup: int | None = None, **kwargs) -> "CleaningEnv":
+        """Compile the pure functions of a step, each on its own, and return the env.
+
+        Not `step_and_maybe_reset` as a whole, as TorchRL does: maps written inside a compiled
+        function would be copied at every step. `kwargs` go to `torch.compile`; there is nothing
+        to warm up.
+        """
+        self._compiled, self._compile_kwargs = {}, kwargs
+        return self
+
     def compiled(self, function: Callable) -> Callable:
-        """Return the function compiled where `compile` is set, else as it is."""
-        return torch.compile(function) if self.compile_functions else function
+        """Return the function compiled, once, where the env is; else as it is."""
+        if self._compiled is None:
+            return function
+        if function not in self._compiled:
+            self._compiled[function] = torch.compile(function, **self._compile_kwargs)
+        return self._compiled[function]
 
     def _make_specs(self) -> None:
         agents = torch.Size([self.num_envs, self.n_agents])
@@ -179,7 +194,7 @@ class CleaningEnv(EnvBase):
         self.observation_spec = of_agents(
             position=Bounded(0, highest, shape=torch.Size([*agents, 2]), dtype=torch.int64)
         )
-        terms = {name: Unbounded(one) for name in ("step", "cleaning", "discovery")}
+        terms = {name: Unbounded(one) for name in REWARD_TERMS}
         self.reward_spec = of_agents(
             own_reward=Unbounded(one), info=Composite(**terms, shape=agents)
         )
@@ -216,7 +231,8 @@ class CleaningEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         state = self.state
-        outcome = self._advance(state, tensordict.get(keys.ACTION), self._moves, self.rules)
+        step = self.compiled(advance)
+        outcome = step(state, tensordict.get(keys.ACTION), self._moves, self.rules)
         commit_(state, outcome)
         if self.furniture.during_episode:
             move_furniture_(state, self.rules.margin)
@@ -227,8 +243,7 @@ class CleaningEnv(EnvBase):
         terms = torch.stack(
             (outcome.step_term, outcome.cleaning_term, outcome.discovery_term), 0
         ).unsqueeze(-1)
-        step, cleaning, discovery = terms.unbind(0)
-        info = self._agents({"step": step, "cleaning": cleaning, "discovery": discovery})
+        info = self._agents(dict(zip(REWARD_TERMS, terms.unbind(0), strict=True)))
         agents = self._agents(
             {"position": state.position, "own_reward": terms.sum(0), "info": info}
         )

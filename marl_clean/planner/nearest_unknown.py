@@ -42,6 +42,13 @@ class NearestUnknown(Planner):
         return "nearest_unknown" if plain else f"nearest_unknown+{self.assignment.value}"
 
     def act(self) -> Int[Tensor, "env agent"]:
+        distances = self.distances()
+        return torch.where(
+            reachable(distances)[..., 0], first_closest(distances), self.random_action()
+        )
+
+    def distances(self) -> Int[Tensor, "env agent 4"]:
+        """Return how far each robot's target is from its up, right, down and left neighbour."""
         state, rules = self.env.state, self.env.rules
         matrix = slice(rules.margin - 1, 1 - rules.margin or None)  # the house and its ring
         record = state.record[..., matrix, matrix]
@@ -66,9 +73,7 @@ class NearestUnknown(Planner):
                 assign(passable, dirty, cell, ~explores[..., 0]),
             )
             distances = torch.where(reachable(to_own), to_own, distances)
-        return torch.where(
-            reachable(distances)[..., 0], first_closest(distances), self.random_action()
-        )
+        return distances
 
 
 def around(distance: Distance, cell: Int[Tensor, "env agent"]) -> Int[Tensor, "env agent 4"]:
@@ -83,7 +88,7 @@ def reachable(distances: Int[Tensor, "env agent 4"]) -> Bool[Tensor, "env agent 
     return (distances < UNREACHABLE).any(-1, keepdim=True)
 
 
-def first_closest(distances: Int[Tensor, "env agent 4"]) -> Int[Tensor, "env agent"]:
+def first_closest(distances: Int[Tensor, "*robots 4"]) -> Int[Tensor, "*robots"]:
     """Return the first action, in their order, that leads closest."""
     order = torch.arange(4, device=distances.device)
     return (distances.long() * 4 + order).argmin(-1)

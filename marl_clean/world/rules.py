@@ -1,7 +1,7 @@
 """The readings of the paper that are fixed for one environment."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 
 from marl_clean.errors import BadInput
@@ -30,6 +30,10 @@ class Rules:
         obstacles: whether a bump pays the first time or every time.
         stuck_after: steps without a newly cleaned cell that end an episode; None: never.
         margin: cells around the house in every stored matrix, at least the ring's 1.
+        decay_a_step: how much the shown value of a cleaned cell falls a step.
+        dirty_after: the age in steps from which a cell is dirty, ceil(0.5 / decay).
+        uncleaned_after: the age from which entering a cell pays as cleaning: the smallest whose
+            value is at most `uncleaned_at_most`.
 
     Raises:
         BadInput: a value outside its range.
@@ -46,6 +50,9 @@ class Rules:
     obstacles: ObstaclePay = ObstaclePay.FIRST
     stuck_after: int | None = 100
     margin: int = 7
+    decay_a_step: float = field(init=False)
+    dirty_after: int = field(init=False)
+    uncleaned_after: int = field(init=False)
 
     def __post_init__(self) -> None:
         if not 0 <= self.uncleaned_at_most < CLEANED_VALUE:
@@ -57,22 +64,10 @@ class Rules:
         if self.margin < 1:
             raise BadInput(f"margin={self.margin}: must be at least 1, the ring around the house")
 
-    @property
-    def decay_a_step(self) -> Fraction:
-        """How much a cleaned cell's value falls a step."""
-        full = Fraction(1) if self.decay is Decay.FORMULA else Fraction(1, 2)
-        return full / self.decay_steps
-
-    @property
-    def dirty_after(self) -> int:
-        """The age in steps from which a cell is dirty: ceil(0.5 / decay)."""
-        return math.ceil(Fraction(1, 2) / self.decay_a_step)
-
-    @property
-    def uncleaned_after(self) -> int:
-        """The age in steps from which entering a cell pays as cleaning.
-
-        The smallest age whose value is at most `uncleaned_at_most`, decided on fractions.
-        """
+        # Ages are decided on fractions, once: floats would round at the thresholds.
+        half = Fraction(1, 2)
+        decay = (1 if self.decay is Decay.FORMULA else half) / Fraction(self.decay_steps)
         threshold = Fraction(str(self.uncleaned_at_most))
-        return math.ceil((Fraction(1, 2) - threshold) / self.decay_a_step)
+        object.__setattr__(self, "decay_a_step", float(decay))
+        object.__setattr__(self, "dirty_after", math.ceil(half / decay))
+        object.__setattr__(self, "uncleaned_after", math.ceil((half - threshold) / decay))

@@ -22,13 +22,24 @@ def crop(
     compiled code walks whole rows. What lies outside the matrix is unknown.
     Needs `rules.margin >= view_size // 2`.
     """
-    num_envs, n_agents = position.shape[:2]
-    windows = record.unfold(-2, view_size, 1).unfold(-2, view_size, 1)
-    corner = position + (rules.margin - view_size // 2)
-    env = torch.arange(num_envs, device=position.device)[:, None]
-    whose_map = torch.arange(n_agents, device=position.device) if record.shape[1] > 1 else 0
+    view = windows_around(record, position, view_size, rules.margin)
     now = (step + 1).to(record.dtype).view(-1, 1, 1, 1)
-    return map_value(windows[env, whose_map, corner[..., 0], corner[..., 1]], now, rules)
+    return map_value(view, now, rules)
+
+
+def windows_around(
+    matrix: Float[Tensor, "env map height width"],
+    position: Int[Tensor, "env agent 2"],
+    view_size: int,
+    margin: int,
+) -> Float[Tensor, "env agent view view"]:
+    """Cut the square around each robot out of the one matrix, or out of its own."""
+    num_envs, n_agents = position.shape[:2]
+    windows = matrix.unfold(-2, view_size, 1).unfold(-2, view_size, 1)
+    corner = position + (margin - view_size // 2)
+    env = torch.arange(num_envs, device=position.device)[:, None]
+    whose = torch.arange(n_agents, device=position.device) if matrix.shape[1] > 1 else 0
+    return windows[env, whose, corner[..., 0], corner[..., 1]]
 
 
 def mark_contacts(

@@ -56,7 +56,7 @@ def map_value(record: Tensor, now: Tensor, rules: Rules) -> Tensor:
     both and is float32; ageing is decided on whole steps, only the shown value is rounded.
     """
     age = now - record
-    faded = CLEANED_VALUE - float(rules.decay_a_step) * age
+    faded = CLEANED_VALUE - rules.decay_a_step * age
     dirty = (age >= rules.dirty_after) | _is_touched(record)
     value = torch.where(dirty, DIRTY_VALUE, faded)
     value = torch.where(age == 0, ROBOT_VALUE, value)
