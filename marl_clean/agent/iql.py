@@ -48,7 +48,8 @@ class Iql(Agent):
         double, dueling: see above and `QNetwork`.
         n_steps: rewards summed before bootstrapping.
         gamma: discount of a step.
-        lr: Adam's step size.
+        lr, lr_end: Adam's step size, falling linearly over the run; late steps smaller, so that
+            the greedy policy swings less from one evaluation to the next.
         loss: `smooth_l1` (Huber), `l2` or `l1`.
         max_grad_norm: gradients are scaled down to this norm.
         target_update: `soft` moves Q' by `tau` every update, `hard` copies Q every
@@ -75,6 +76,7 @@ class Iql(Agent):
         n_steps: PositiveInt,
         gamma: Probability,
         lr: PositiveFloat,
+        lr_end: PositiveFloat,
         loss: Literal["smooth_l1", "l2", "l1"],
         max_grad_norm: PositiveFloat,
         target_update: Literal["soft", "hard"],
@@ -89,6 +91,7 @@ class Iql(Agent):
     ) -> None:
         self.gamma, self.n_steps = gamma, n_steps
         self.eps_init, self.eps_end, self.annealing_fraction = eps_init, eps_end, annealing_fraction
+        self.lr, self.lr_end = lr, lr_end
         self.max_grad_norm = max_grad_norm
         self.augment = augment
         self.network = QNetwork(encoder, comm, dueling, precision).to(device).eval()
@@ -142,7 +145,9 @@ class Iql(Agent):
         return TensorDictSequential(self._greedy, self._coin)
 
     def anneal(self, progress: float) -> None:
-        """Set epsilon for a run of which `progress`, from 0 to 1, is done (paper §3.4)."""
+        """Set epsilon (paper §3.4) and step size for a run of which `progress`, 0 to 1, is done."""
+        for group in self._optimiser.param_groups:
+            group["lr"] = self.lr + min(1.0, progress) * (self.lr_end - self.lr)
         annealed = min(1.0, progress / self.annealing_fraction) if self.annealing_fraction else 1.0
         self.epsilon = self.eps_init + annealed * (self.eps_end - self.eps_init)
         if self._coin is not None:  # its own step() loops over frames in Python
