@@ -156,7 +156,7 @@ class CleaningEnv(EnvBase):
         self.contact = contact
         self._compiled: dict[Callable, Callable] | None = None
         self._houses = house_tensors(houses, n_agents, max_steps, margin, self.device)
-        self._moves = torch.tensor(MOVES, device=self.device)
+        self.moves = torch.tensor(MOVES, device=self.device)
         self.env_index = torch.arange(first_env, first_env + num_envs, device=self.device)
         self._make_specs()
         self._set_seed(seed)
@@ -232,7 +232,7 @@ class CleaningEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         state = self.state
         step = self.compiled(advance)
-        outcome = step(state, tensordict.get(keys.ACTION), self._moves, self.rules)
+        outcome = step(state, tensordict.get(keys.ACTION), self.moves, self.rules)
         commit_(state, outcome)
         if self.furniture.during_episode:
             move_furniture_(state, self.rules.margin)

@@ -60,7 +60,7 @@ class Bare:
         action = self.network(*now)[0].argmax(-1)
         random = torch.rand(action.shape) < epsilon
         action = torch.where(random, torch.randint(4, action.shape), action)
-        outcome = advance(env.state, action, env._moves, env.rules)
+        outcome = advance(env.state, action, env.moves, env.rules)
         commit_(env.state, outcome)
         terminated, truncated = episode_ends(env.state, env.rules.stuck_after)
         own = outcome.step_term + outcome.cleaning_term + outcome.discovery_term

@@ -1,0 +1,212 @@
+"""`marl-clean benchmark`: how fast the world and the env step, as ratios within one run."""
+
+import json
+import os
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+from omegaconf import DictConfig
+from rich.table import Table
+from torchrl.envs import TransformedEnv
+
+from marl_clean import build, files, keys
+from marl_clean.compose import compose_config
+from marl_clean.evaluation.table import output
+from marl_clean.jumanji_cleaner import cleaner_step_seconds
+from marl_clean.stored import RUNS
+from marl_clean.world.dynamics import advance, commit_
+from marl_clean.world.sensing import crop
+
+REPEATS = 7
+STEPS = 200
+WARM_UP = 30
+ACTION_SETS = 32  # drawn before the clock starts, played round and round
+
+
+@dataclass(frozen=True)
+class Row:
+    """One thing timed.
+
+    Attributes:
+        what: in words.
+        robot_steps_per_second: the median of the repeats; null where it could not be timed.
+        milliseconds_per_step: of the whole batch.
+        ratio, wanted: this row's figure against the one it is compared with, and the bound.
+    """
+
+    what: str
+    robot_steps_per_second: float | None
+    milliseconds_per_step: float | None
+    ratio: float | None = None
+    wanted: str = ""
+
+
+def main(cfg: DictConfig) -> list[Row]:
+    """Time worlds and envs of `cfg`'s rooms, print the table, write runs/benchmark.json."""
+    console = output()
+    rows = []
+    for measure in (against_jumanji, over_house_sizes, over_robots):
+        rows += measure(cfg)
+    table = Table(title=f"random actions, 15x15 views; {machine()}")
+    for title in ("what", "million robot-steps/s", "ms a step", "ratio", "wanted"):
+        table.add_column(title, justify="left" if title == "what" else "right", no_wrap=True)
+    for row in rows:
+        million = row.robot_steps_per_second and row.robot_steps_per_second / 1e6
+        table.add_row(
+            row.what,
+            _number(million),
+            _number(row.milliseconds_per_step),
+            _number(row.ratio),
+            row.wanted,
+        )
+    console.print(table)
+    path = RUNS / "benchmark.json"
+    content = {"machine": machine(), "rows": [asdict(row) for row in rows]}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    files.write_file(path, [json.dumps(content, indent=1).encode()])
+    console.print(f"written to {path}")
+    return rows
+
+
+def against_jumanji(cfg: DictConfig) -> list[Row]:
+    """Time the bare world, the whole env and Jumanji's Cleaner: 1,024 x 3 robots on 20x20."""
+    num_envs, n_agents, side = 1024, 3, 20
+    steps = num_envs * n_agents
+    env = env_of(cfg, num_envs, n_agents, side)
+    world, whole = world_seconds(env), env_seconds(env)
+    cleaner = cleaner_step_seconds(num_envs, n_agents, side, REPEATS, STEPS)
+    case = f"{num_envs} worlds, {n_agents} robots, {side}x{side}"
+    return [
+        Row(
+            f"Jumanji Cleaner, no view ({case})" if cleaner else "Jumanji: not installed",
+            cleaner and steps / cleaner,
+            cleaner and cleaner * 1e3,
+        ),
+        Row(
+            "world functions: step and view",
+            steps / world,
+            world * 1e3,
+            cleaner and cleaner / world,
+            "at least 1.00 of Jumanji",
+        ),
+        Row(
+            "whole env, staggered resets",
+            steps / whole,
+            whole * 1e3,
+            cleaner and cleaner / whole,
+            "at least 0.50 of Jumanji",
+        ),
+    ]
+
+
+def over_house_sizes(cfg: DictConfig) -> list[Row]:
+    """Time the whole env in small and in large houses: the cost must follow the view."""
+    num_envs, n_agents = 256, 3
+    small, large = (env_seconds(env_of(cfg, num_envs, n_agents, side)) for side in (20, 200))
+    return [
+        Row(f"whole env, {num_envs} worlds, 20x20", num_envs * n_agents / small, small * 1e3),
+        Row(
+            f"whole env, {num_envs} worlds, 200x200",
+            num_envs * n_agents / large,
+            large * 1e3,
+            large / small,
+            "at most 2.00 of 20x20",
+        ),
+    ]
+
+
+def over_robots(cfg: DictConfig) -> list[Row]:
+    """Time the whole env with few and with many robots: the cost must follow their number."""
+    num_envs, side = 1024, 20
+    few, many = (env_seconds(env_of(cfg, num_envs, n_agents, side)) for n_agents in (2, 16))
+    return [
+        Row(f"whole env, {num_envs} worlds, 2 robots", num_envs * 2 / few, few * 1e3),
+        Row(
+            f"whole env, {num_envs} worlds, 16 robots",
+            num_envs * 16 / many,
+            many * 1e3,
+            (many / 16) / (few / 2),
+            "at most 1.30 a robot",
+        ),
+    ]
+
+
+def env_of(cfg: DictConfig, num_envs: int, n_agents: int, side: int) -> TransformedEnv:
+    """Build the compiled env of `cfg`'s rooms in houses of rooms, side x side."""
+    case = cfg.copy()
+    case.house = compose_config(
+        [f"house.rows=[{side},{side}]", f"house.cols=[{side},{side}]"]
+    ).house
+    case.env.compile, case.env.n_agents, case.train_houses = True, n_agents, 64
+    return build.make_env(case, num_envs=num_envs)
+
+
+def actions(env: TransformedEnv) -> list[torch.Tensor]:
+    """Draw the actions of some steps."""
+    generator = torch.Generator().manual_seed(0)
+    shape = (env.base_env.num_envs, env.base_env.n_agents)
+    draws = (torch.randint(0, 4, shape, generator=generator) for _ in range(ACTION_SETS))
+    return [draw.to(env.device) for draw in draws]
+
+
+def world_seconds(env: TransformedEnv) -> float:
+    """Time a step and a view by the world's functions alone."""
+    env.reset()
+    base, drawn = env.base_env, actions(env)
+    step, look, view_size = base.compiled(advance), base.compiled(crop), env.transform[1].view_size
+
+    def play(count: int) -> None:
+        state = base.state
+        for index in range(count):
+            commit_(state, step(state, drawn[index % ACTION_SETS], base.moves, base.rules))
+            look(state.record, state.position, state.step, view_size, base.rules)
+
+    return seconds_a_step(play, env.device)
+
+
+def env_seconds(env: TransformedEnv) -> float:
+    """Time `step_and_maybe_reset` while, at every step, some worlds start anew."""
+    carried = env.reset()
+    base, drawn = env.base_env, actions(env)
+    ages = torch.arange(base.num_envs, device=env.device) % 100
+    base.state.last_progress = base.state.step - ages  # so that they do not end all at once
+
+    def play(count: int) -> None:
+        nonlocal carried
+        for index in range(count):
+            carried[keys.ACTION] = drawn[index % ACTION_SETS]
+            _, carried = env.step_and_maybe_reset(carried)
+
+    return seconds_a_step(play, env.device)
+
+
+def seconds_a_step(play: Callable[[int], None], device: torch.device) -> float:
+    """Return the median over repeats of the seconds that a step takes."""
+    play(WARM_UP)
+    taken = []
+    for _ in range(REPEATS):
+        began = time.perf_counter()
+        play(STEPS)
+        if device.type == "cuda":
+            torch.cuda.synchronize(device)
+        taken.append((time.perf_counter() - began) / STEPS)
+    return statistics.median(taken)
+
+
+def machine() -> str:
+    """Return what the figures were taken on."""
+    cpu = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        names = [line for line in info.read_text().splitlines() if line.startswith("model name")]
+        cpu = names[0].partition(":")[2].strip() if names else cpu
+    return f"{cpu}, {os.cpu_count()} cores, torch {torch.__version__}"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"
