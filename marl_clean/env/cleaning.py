@@ -36,7 +36,7 @@ from marl_clean.world.shared_map import merge_maps
 from marl_clean.world.state import State
 
 REWARD_TERMS = ("step", "cleaning", "discovery")
-Contact = Callable[[State], Bool[Tensor, "env agent agent"]]
+Contact = Callable[[State, Rules], Bool[Tensor, "env agent agent"]]
 
 
 class CleaningEnv(EnvBase):
@@ -260,7 +260,7 @@ class CleaningEnv(EnvBase):
     def _meet(self, rows: Tensor | None = None) -> None:
         """Unite the maps of robots in contact, before anyone observes (`memory=merged`)."""
         if self.rules.memory is Memory.MERGED and self.contact is not None:
-            merged = merge_maps(self.state.record, self.contact(self.state))
+            merged = merge_maps(self.state.record, self.contact(self.state, self.rules))
             if rows is None:
                 self.state.record = merged
             else:
@@ -307,5 +307,5 @@ class CleaningEnv(EnvBase):
 
     def render(self, env_index: int = 0, cell_pixels: int = 24) -> UInt8[np.ndarray, "h w 3"]:
         """Return one world as an RGB frame: the truth beside what the robots know of it."""
-        contact = None if self.contact is None else self.contact(self.state)
+        contact = None if self.contact is None else self.contact(self.state, self.rules)
         return draw(scene_of(self.state, self.rules, env_index, contact), cell_pixels)

@@ -36,7 +36,7 @@ class Crop(WorldTransform):
         env = self.cleaning
         view = compiled(crop)(state.record, state.position, state.step, self.view_size, env.rules)
         if env.rules.memory is Memory.PRIVATE and env.contact is not None:
-            view = compiled(mark_contacts)(view, state.position, env.contact(state))
+            view = compiled(mark_contacts)(view, state.position, env.contact(state, env.rules))
         return {keys.OBSERVATION: view.unsqueeze(2)}
 
     def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:

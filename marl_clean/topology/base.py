@@ -12,6 +12,7 @@ from torchrl.data import Binary, Bounded, TensorSpec
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.transform import WorldTransform
+from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import distance_rank
 from marl_clean.world.state import State
 
@@ -24,14 +25,14 @@ class Topology(WorldTransform):
     """
 
     @abstractmethod
-    def contact(self, state: State) -> Bool[Tensor, "env agent agent"]:
+    def contact(self, state: State, rules: Rules) -> Bool[Tensor, "env agent agent"]:
         """Tell which robots are in contact."""
 
     def read(
         self, state: State, compiled: Callable[[Callable], Callable]
     ) -> dict[NestedKey, Tensor]:
         return {
-            keys.ADJACENCY: compiled(self.contact)(state),
+            keys.ADJACENCY: compiled(self.contact)(state, self.cleaning.rules),
             keys.DISTANCE_RANK: compiled(distance_rank)(state.position),
         }
 

@@ -4,6 +4,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from marl_clean.topology.base import Topology
+from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import everyone
 from marl_clean.world.state import State
 
@@ -11,5 +12,5 @@ from marl_clean.world.state import State
 class Full(Topology):
     """Every robot talks to every other, always."""
 
-    def contact(self, state: State) -> Bool[Tensor, "env agent agent"]:
+    def contact(self, state: State, rules: Rules) -> Bool[Tensor, "env agent agent"]:
         return everyone(state.position)

@@ -5,6 +5,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from marl_clean.topology.base import Topology
+from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import everyone
 from marl_clean.world.state import State
 
@@ -12,5 +13,5 @@ from marl_clean.world.state import State
 class Nobody(Topology):
     """No robot ever talks to another."""
 
-    def contact(self, state: State) -> Bool[Tensor, "env agent agent"]:
+    def contact(self, state: State, rules: Rules) -> Bool[Tensor, "env agent agent"]:
         return torch.zeros_like(everyone(state.position))

@@ -5,6 +5,7 @@ from torch import Tensor
 
 from marl_clean.settings import OddInt, PositiveFloat
 from marl_clean.topology.base import Topology
+from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import in_radius
 from marl_clean.world.state import State
 
@@ -21,5 +22,5 @@ class Radius(Topology):
         super().__init__()
         self.radius_cells = float(view_size // 2) if radius_cells is None else radius_cells
 
-    def contact(self, state: State) -> Bool[Tensor, "env agent agent"]:
+    def contact(self, state: State, rules: Rules) -> Bool[Tensor, "env agent agent"]:
         return in_radius(state.position, self.radius_cells)

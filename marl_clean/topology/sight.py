@@ -7,6 +7,7 @@ from torch import Tensor
 
 from marl_clean.settings import OddInt, PositiveFloat
 from marl_clean.topology.base import Topology
+from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import crossed_cells, in_sight
 from marl_clean.world.state import State
 
@@ -29,5 +30,5 @@ class Sight(Topology):
             "crossed", crossed_cells(math.floor(self.radius_cells)), persistent=False
         )
 
-    def contact(self, state: State) -> Bool[Tensor, "env agent agent"]:
-        return in_sight(state, self.radius_cells, self.crossed, self.cleaning.rules)
+    def contact(self, state: State, rules: Rules) -> Bool[Tensor, "env agent agent"]:
+        return in_sight(state, self.radius_cells, self.crossed, rules)

@@ -5,6 +5,7 @@ from torch import Tensor
 
 from marl_clean.settings import OddInt
 from marl_clean.topology.base import Topology
+from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import in_view
 from marl_clean.world.state import State
 
@@ -20,5 +21,5 @@ class View(Topology):
         super().__init__()
         self.view_size = view_size
 
-    def contact(self, state: State) -> Bool[Tensor, "env agent agent"]:
+    def contact(self, state: State, rules: Rules) -> Bool[Tensor, "env agent agent"]:
         return in_view(state.position, self.view_size)

@@ -141,4 +141,4 @@ def believe(base: CleaningEnv, cases: list[Case]) -> None:
     if base.rules.sensor is Sensor.TOUCH4:
         touch_(state, base.rules)
     if base.rules.memory is Memory.MERGED:
-        state.record = merge_maps(state.record, base.contact(state))
+        state.record = merge_maps(state.record, base.contact(state, base.rules))
