@@ -3,11 +3,11 @@
 from typing import Any, Literal
 
 import torch
-from tensordict import NestedKey, TensorDictBase
-from tensordict.nn import TensorDictModule, TensorDictSequential
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import Composite
-from torchrl.modules import EGreedyModule, QValueModule
+from torchrl.modules import EGreedyModule
 from torchrl.objectives import DQNLoss, HardUpdate, SoftUpdate
 from torchrl.objectives.utils import TargetNetUpdater
 
@@ -18,6 +18,33 @@ from marl_clean.settings import PositiveFloat, PositiveInt, Probability
 
 SEEN = (keys.OBSERVATION, keys.ADJACENCY, keys.DISTANCE_RANK)
 DONE, TERMINATED = (keys.AGENTS, keys.DONE), (keys.AGENTS, keys.TERMINATED)
+
+
+class Greedy(TensorDictModuleBase):
+    """Every robot's best action: the network, as what TorchRL calls a Q-value actor.
+
+    One module in the place of three (network, choice, their sequence): a third of their time
+    outside of the network, which counts where the network is small.
+    """
+
+    def __init__(self, network: QNetwork, tells: bool) -> None:
+        super().__init__()
+        self.network, self.tells = network, tells
+        self.in_keys = list(SEEN)
+        self.out_keys = [keys.ACTION, keys.ACTION_VALUE, keys.CHOSEN_ACTION_VALUE]
+        if tells:
+            self.out_keys += [keys.MESSAGE, keys.MESSAGE_BITS]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        value, message, bits = self.network(*(tensordict.get(key) for key in SEEN))
+        chosen, action = value.max(-1, keepdim=True)
+        tensordict.set(keys.ACTION_VALUE, value)
+        tensordict.set(keys.CHOSEN_ACTION_VALUE, chosen)
+        tensordict.set(keys.ACTION, action.squeeze(-1))
+        if self.tells:
+            tensordict.set(keys.MESSAGE, message)
+            tensordict.set(keys.MESSAGE_BITS, bits)
+        return tensordict
 
 
 class SoftUpdateAtOnce(SoftUpdate):
@@ -61,6 +88,7 @@ class Iql(Agent):
         device: where the network lives.
     """
 
+    network: QNetwork
     learns_from = (
         *SEEN,
         keys.ACTION,
@@ -95,7 +123,7 @@ class Iql(Agent):
         self.max_grad_norm = max_grad_norm
         self.augment = augment
         self.network = QNetwork(encoder, comm, dueling, precision).to(device).eval()
-        self._greedy = self._acting([keys.ACTION_VALUE, "_", "_"]).eval()
+        self._greedy = Greedy(self.network, tells=False).eval()
         self._loss = DQNLoss(
             self._greedy, loss_function=loss, double_dqn=double, action_space="categorical"
         )
@@ -119,20 +147,9 @@ class Iql(Agent):
         self._coin: EGreedyModule | None = None
         self.anneal(0.0)
 
-    def policy(self) -> TensorDictSequential:
+    def policy(self) -> Greedy:
         """Return the greedy policy; it follows the weights as they are learnt."""
-        return self._acting([keys.ACTION_VALUE, keys.MESSAGE, keys.MESSAGE_BITS]).eval()
-
-    def _acting(self, out_keys: list[NestedKey]) -> TensorDictSequential:
-        """Return the network and the choice of each robot's best action."""
-        return TensorDictSequential(
-            TensorDictModule(self.network, in_keys=list(SEEN), out_keys=out_keys),
-            QValueModule(
-                action_space="categorical",
-                action_value_key=keys.ACTION_VALUE,
-                out_keys=[keys.ACTION, keys.ACTION_VALUE, keys.CHOSEN_ACTION_VALUE],
-            ),
-        )
+        return Greedy(self.network, tells=True).eval()
 
     def exploration(self, action_spec: Composite) -> TensorDictSequential:
         """Return the epsilon-greedy policy; each robot draws for itself.
@@ -203,5 +220,6 @@ class Iql(Agent):
         self._target.load_state_dict(state["target_update"])
 
     def _target_weights(self) -> dict[str, Tensor]:
-        parameters = self._loss.target_value_network_params
-        return {name: weight.data for name, weight in parameters.flatten_keys(".").items()}
+        """Return the target network's weights by the names that the network gives its own."""
+        parameters = self._loss.target_value_network_params["network"].flatten_keys(".")
+        return {name: weight.data for name, weight in parameters.items()}

@@ -202,7 +202,7 @@ def test_best_weights_are_those_of_the_best_evaluation(tmp_path):
     seen = []
 
     def evaluate(policy):
-        weights = policy[0].module.head.weight
+        weights = policy.network.head.weight
         seen.append(weights.clone())
         return {"T_100": next(scores)}
 
