@@ -158,7 +158,11 @@ def world_seconds(env: TransformedEnv) -> float:
     """Time a step and a view by the world's functions alone."""
     env.reset()
     base, drawn = env.base_env, actions(env)
-    step, look, view_size = base.compiled(advance), base.compiled(crop), env.transform[1].view_size
+    step, look, view_size = (
+        base.compiled(advance),
+        base.compiled(crop, wide=True),
+        env.transform[1].view_size,
+    )
 
     def play(count: int) -> None:
         state = base.state

@@ -12,6 +12,8 @@ from torchrl.envs import Transform
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.world.state import State
 
+Compile = Callable[..., Callable]
+
 
 class WorldTransform(Transform):
     """Adds keys that are computed from the state of a `CleaningEnv`.
@@ -27,9 +29,7 @@ class WorldTransform(Transform):
         return self.container.base_env
 
     @abstractmethod
-    def read(
-        self, state: State, compiled: Callable[[Callable], Callable]
-    ) -> dict[NestedKey, Tensor]:
+    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
         """Compute the entries for all worlds of `state`; `compiled` wraps pure functions."""
 
     @abstractmethod
@@ -50,7 +50,7 @@ class WorldTransform(Transform):
             entries = self.read(state, self.cleaning.compiled)
         else:
             rows = mask.view(-1).nonzero()[:, 0]
-            fresh = self.read(state.rows_of(rows), lambda function: function)
+            fresh = self.read(state.rows_of(rows), as_is)
             entries = {key: _spread(value, rows, len(mask)) for key, value in fresh.items()}
         for key, value in entries.items():
             tensordict_reset.set(key, value)
@@ -60,6 +60,11 @@ class WorldTransform(Transform):
         for key, spec in self.specs(self.cleaning).items():
             observation_spec[key] = spec
         return observation_spec
+
+
+def as_is(function: Callable, *, wide: bool = False) -> Callable:
+    """Do not compile: rows that reset are another number each time."""
+    return function
 
 
 def _spread(value: Tensor, rows: Tensor, num_envs: int) -> Tensor:

@@ -1,7 +1,5 @@
 """`observation=crop`: the paper's."""
 
-from collections.abc import Callable
-
 import torch
 from tensordict.utils import NestedKey
 from torch import Tensor
@@ -10,7 +8,7 @@ from torchrl.data import Bounded, TensorSpec
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.settings import Memory, OddInt
-from marl_clean.transform import WorldTransform
+from marl_clean.transform import Compile, WorldTransform
 from marl_clean.world.rules import BLOCKED_VALUE, ROBOT_VALUE
 from marl_clean.world.sensing import crop, mark_contacts
 from marl_clean.world.state import State
@@ -30,11 +28,11 @@ class Crop(WorldTransform):
         super().__init__()
         self.view_size = view_size
 
-    def read(
-        self, state: State, compiled: Callable[[Callable], Callable]
-    ) -> dict[NestedKey, Tensor]:
+    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
         env = self.cleaning
-        view = compiled(crop)(state.record, state.position, state.step, self.view_size, env.rules)
+        view = compiled(crop, wide=True)(
+            state.record, state.position, state.step, self.view_size, env.rules
+        )
         if env.rules.memory is Memory.PRIVATE and env.contact is not None:
             view = compiled(mark_contacts)(view, state.position, env.contact(state, env.rules))
         return {keys.OBSERVATION: view.unsqueeze(2)}

@@ -1,7 +1,5 @@
 """`observation=frontier`: the paper's square and a plane that shows where the next dirt is near."""
 
-from collections.abc import Callable
-
 import torch
 from tensordict.utils import NestedKey
 from torch import Tensor
@@ -10,6 +8,7 @@ from torchrl.data import Bounded, TensorSpec
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.observation.crop import Crop
+from marl_clean.transform import Compile
 from marl_clean.world.frontier import how_much_nearer, steps_to_frontier
 from marl_clean.world.rules import BLOCKED_VALUE, ROBOT_VALUE
 from marl_clean.world.state import State
@@ -26,12 +25,10 @@ class Frontier(Crop):
     Unlike the crop this costs the house, not the view: a flood over the known map a step.
     """
 
-    def read(
-        self, state: State, compiled: Callable[[Callable], Callable]
-    ) -> dict[NestedKey, Tensor]:
+    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
         crop = super().read(state, compiled)[keys.OBSERVATION]
         distance = steps_to_frontier(state, self.cleaning.rules)
-        plane = compiled(how_much_nearer)(
+        plane = compiled(how_much_nearer, wide=True)(
             distance, state.position, self.view_size, self.cleaning.rules
         )
         return {keys.OBSERVATION: torch.cat([crop, plane.unsqueeze(2)], 2)}

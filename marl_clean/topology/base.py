@@ -1,7 +1,6 @@
 """Who may talk to whom, as a transform (paper §3.4)."""
 
 from abc import abstractmethod
-from collections.abc import Callable
 
 import torch
 from jaxtyping import Bool
@@ -11,7 +10,7 @@ from torchrl.data import Binary, Bounded, TensorSpec
 
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
-from marl_clean.transform import WorldTransform
+from marl_clean.transform import Compile, WorldTransform
 from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import distance_rank
 from marl_clean.world.state import State
@@ -28,9 +27,7 @@ class Topology(WorldTransform):
     def contact(self, state: State, rules: Rules) -> Bool[Tensor, "env agent agent"]:
         """Tell which robots are in contact."""
 
-    def read(
-        self, state: State, compiled: Callable[[Callable], Callable]
-    ) -> dict[NestedKey, Tensor]:
+    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
         return {
             keys.ADJACENCY: compiled(self.contact)(state, self.cleaning.rules),
             keys.DISTANCE_RANK: compiled(distance_rank)(state.position),

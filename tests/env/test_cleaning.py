@@ -13,6 +13,7 @@ from marl_clean.errors import BadInput
 from marl_clean.house.base import draw_houses
 from marl_clean.house.rooms import Rooms
 from marl_clean.settings import HouseOrder, Memory, Sensor
+from marl_clean.transform import as_is
 from tests.world.play import houses_of
 
 HOUSES = draw_houses(Rooms([6, 9], [6, 9]), range(40), n_agents=3)
@@ -104,7 +105,7 @@ def test_a_partial_reset_touches_no_other_world_and_no_recorded_step() -> None:
     assert env.base_env.state.episode.tolist() == [0, 1, 0, 0, 1]
     assert all((kept == step).all() for kept, step in zip(recorded, steps, strict=True))
     # what the reset worlds show is what they hold
-    fresh = env.transform[1].read(env.base_env.state, lambda function: function)
+    fresh = env.transform[1].read(env.base_env.state, as_is)
     assert torch.equal(fresh[keys.OBSERVATION], after[keys.OBSERVATION])
 
 
