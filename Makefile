@@ -26,7 +26,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	touch $@
 
 train: $(INSTALLED)
-	$(RUN) marl_clean train
+	$(RUN) marl_clean train +experiment=approach_2_frontier
 
 test: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(RUN) pytest -n 2 --dist worksteal

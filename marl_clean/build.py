@@ -82,9 +82,7 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     seen = env.observation_spec[keys.OBSERVATION].shape[2:]
     encoder = instantiate(cfg.encoder, observation_shape=seen)
     comm = instantiate(cfg.comm, in_features=encoder.out_features)
-    agent = instantiate(cfg.agent, encoder=encoder, comm=comm)
-    agent.network.to(cfg.device)
-    return agent
+    return instantiate(cfg.agent, encoder=encoder, comm=comm, device=cfg.device)
 
 
 def load_policy(folder: Path) -> TensorDictModuleBase:

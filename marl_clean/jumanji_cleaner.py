@@ -3,6 +3,7 @@
 import importlib.util
 import statistics
 import time
+from typing import Any
 
 
 def cleaner_step_seconds(
@@ -21,14 +22,14 @@ def cleaner_step_seconds(
 
     env = Cleaner(generator=RandomGenerator(side, side, n_agents), time_limit=10**9)
 
-    def step(carry, key):
+    def step(carry: Any, key: Any) -> Any:
         state, timestep = carry
         valid = timestep.observation.action_mask
         action = jax.random.categorical(key, jax.numpy.where(valid, 0.0, -jax.numpy.inf))
         return jax.vmap(env.step)(state, action), timestep.reward
 
     @jax.jit
-    def play(carry, key):
+    def play(carry: Any, key: Any) -> Any:
         return jax.lax.scan(step, carry, jax.random.split(key, steps))
 
     key = jax.random.PRNGKey(0)

@@ -1,5 +1,6 @@
 """`marl-clean train`: train, choose weights on validation houses, measure, draw."""
 
+import logging
 from pathlib import Path
 
 import torch
@@ -47,6 +48,7 @@ def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[
 
 def train(cfg: DictConfig, folder: Path) -> Outcome:
     """Train until the budget is spent; the folder is made when everything is built."""
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every buffer it makes
     torch.manual_seed(cfg.seed)
     env = build.make_env(cfg)
     agent = build.make_agent(cfg, env)

@@ -44,14 +44,12 @@ class WorldTransform(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        state = self.cleaning.state
-        mask = tensordict.get("_reset", None)
-        if mask is None or mask.all():
-            entries = self.read(state, self.cleaning.compiled)
+        env = self.cleaning
+        if len(env.reset_rows) == env.num_envs:
+            entries = self.read(env.state, env.compiled)
         else:
-            rows = mask.view(-1).nonzero()[:, 0]
-            fresh = self.read(state.rows_of(rows), as_is)
-            entries = {key: _spread(value, rows, len(mask)) for key, value in fresh.items()}
+            fresh = self.read(env.reset_state, as_is)
+            entries = {k: _spread(v, env.reset_rows, env.num_envs) for k, v in fresh.items()}
         for key, value in entries.items():
             tensordict_reset.set(key, value)
         return tensordict_reset

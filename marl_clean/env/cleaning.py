@@ -1,14 +1,15 @@
 """The TorchRL face of the cleaning world."""
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Bool, UInt8
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
+from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
 from marl_clean import keys
@@ -54,7 +55,8 @@ class CleaningEnv(EnvBase):
     ## Observations
     `("agents", "position")`, int64 `[num_envs, n_agents, 2]`: (row, col) in the house. What a
     network sees is added by the transforms of `marl_clean.observation` and
-    `marl_clean.topology`, which read `env.state` by reference.
+    `marl_clean.topology`, which read `env.state` by reference, and `env.reset_state`, the worlds
+    `env.reset_rows` as the last reset began them.
 
     ## Rewards
     `("agents", "own_reward")`, float32 `[num_envs, n_agents, 1]`: the sum of the three terms in
@@ -155,6 +157,8 @@ class CleaningEnv(EnvBase):
         self.furniture = FurnitureMoves(furniture_moves_per_episode, furniture_moves_before_start)
         self.contact = contact
         self._compiled: dict[Callable, Callable] | None = None
+        self._compile_kwargs: dict[str, Any] = {}
+        self._started = False
         self._houses = house_tensors(houses, n_agents, max_steps, margin, self.device)
         self.moves = torch.tensor(MOVES, device=self.device)
         self.env_index = torch.arange(first_env, first_env + num_envs, device=self.device)
@@ -163,7 +167,7 @@ class CleaningEnv(EnvBase):
         everyone = torch.arange(num_envs, device=self.device)
         self.state = self._begin(everyone, torch.zeros_like(everyone))
 
-    def compile(self, *, warmup: int | None = None, **kwargs) -> "CleaningEnv":
+    def compile(self, *, warmup: int | None = None, **kwargs: Any) -> "CleaningEnv":
         """Compile the pure functions of a step, each on its own, and return the env.
 
         Not `step_and_maybe_reset` as a whole, as TorchRL does: maps written inside a compiled
@@ -191,7 +195,7 @@ class CleaningEnv(EnvBase):
         agents = torch.Size([self.num_envs, self.n_agents])
         one = torch.Size([*agents, 1])
 
-        def of_agents(**specs) -> Composite:
+        def of_agents(**specs: TensorSpec) -> Composite:
             return Composite(agents=Composite(**specs, shape=agents), shape=self.batch_size)
 
         flag = torch.Size([self.num_envs, 1])
@@ -209,7 +213,7 @@ class CleaningEnv(EnvBase):
         self.to(self.device)
 
     def _begin(self, rows: Tensor, episode: Tensor) -> State:
-        return begin(
+        return self.compiled(begin)(
             self._houses,
             self.env_index[rows],
             episode,
@@ -219,16 +223,17 @@ class CleaningEnv(EnvBase):
             self.rules,
         )
 
-    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
         if mask is None:
             rows = torch.arange(self.num_envs, device=self.device)
         else:
             rows = mask.view(self.num_envs).nonzero()[:, 0]
-        episode = self.state.episode[rows] + self._started
-        self.state.write_rows_(rows, self._begin(rows, episode))
+        fresh = self._begin(rows, self.state.episode[rows] + self._started)
+        self._meet(fresh)
+        self.state.write_rows_(rows, fresh)
+        self.reset_rows, self.reset_state = rows, fresh
         self._started = True
-        self._meet(rows)
         return TensorDict(
             {keys.AGENTS: self._agents({"position": self.state.position}), **self._no_ending()},
             self.batch_size,
@@ -244,7 +249,7 @@ class CleaningEnv(EnvBase):
             move_furniture_(state, self.rules.margin)
         if self.rules.sensor is Sensor.TOUCH4:
             touch_(state, self.rules)
-        self._meet()
+        self._meet(state)
         terminated, truncated = episode_ends(state, self.rules.stuck_after)
         terms = torch.stack(
             (outcome.step_term, outcome.cleaning_term, outcome.discovery_term), 0
@@ -263,14 +268,10 @@ class CleaningEnv(EnvBase):
             device=self.device,
         )
 
-    def _meet(self, rows: Tensor | None = None) -> None:
+    def _meet(self, state: State) -> None:
         """Unite the maps of robots in contact, before anyone observes (`memory=merged`)."""
         if self.rules.memory is Memory.MERGED and self.contact is not None:
-            merged = merge_maps(self.state.record, self.contact(self.state, self.rules))
-            if rows is None:
-                self.state.record = merged
-            else:
-                self.state.record[rows] = merged[rows]
+            state.record = merge_maps(state.record, self.contact(state, self.rules))
 
     def _agents(self, entries: dict) -> TensorDict:
         return TensorDict(entries, [self.num_envs, self.n_agents], device=self.device)
@@ -288,14 +289,14 @@ class CleaningEnv(EnvBase):
         if "state" in self.__dict__:
             self.state.episode = torch.zeros_like(self.state.episode)
 
-    def state_dict(self, *args, **kwargs) -> OrderedDict[str, Tensor]:
+    def state_dict(self, *args: Any, **kwargs: Any) -> OrderedDict[str, Tensor]:
         """Return copies of all tensors of the state, the seed among them."""
         saved = OrderedDict((name, value.clone()) for name, value in self.state.tensors().items())
         saved["seed"] = torch.tensor(self.seed_in_use)
         saved["started"] = torch.tensor(self._started)
         return saved
 
-    def load_state_dict(self, state_dict: dict[str, Tensor], *args, **kwargs) -> None:
+    def load_state_dict(self, state_dict: Mapping[str, Tensor], *args: Any, **kwargs: Any) -> None:
         """Put the env exactly where `state_dict` was taken.
 
         Raises:

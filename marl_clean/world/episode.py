@@ -151,6 +151,8 @@ def draw_furniture_moves(
 
     Steps are from 1 to the number of free cells: the scale of the time that cleaning takes.
     """
+    if count == 0:
+        return torch.zeros((len(house), 0, 3), dtype=torch.int64, device=house.device)
     counter = torch.arange(count, device=house.device)[None, :] * 6 + 3 * before_start
     words = (env_index[:, None], episode[:, None], Purpose.FURNITURE)
     step = 1 + random_below(houses.num_free[house, None], seed, *words, counter)

@@ -5,6 +5,7 @@ plays what env i plays alone, a partial reset disturbs nobody, and there is no g
 """
 
 from enum import IntEnum
+from typing import Any
 
 import torch
 from jaxtyping import Int
@@ -22,8 +23,8 @@ class Purpose(IntEnum):
     ACTION = 4
 
 
-def _mix(word):
-    """Bijective finaliser of 32-bit words: xor-shifts around two odd multiplications.
+def _mix(word: Any) -> Any:
+    """Bijective finaliser of 32-bit words, int or tensor: xor-shifts and odd multiplications.
 
     Constants: "lowbias32", C. Wellons, "Prospecting for hash functions" (2018).
     """
