@@ -78,6 +78,14 @@ def figure(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def compare(arguments: argparse.Namespace) -> int:
+    """finished runs in one table, those that differ in their seed alone as one row"""
+    from marl_clean import compare as command
+
+    command.main(arguments.runs, arguments.out)
+    return 0
+
+
 def benchmark(arguments: argparse.Namespace) -> int:
     """measure speed, into runs/benchmark.json"""
     from marl_clean.compose import compose_config
@@ -115,11 +123,12 @@ COMMANDS = {
     "evaluate": evaluate,
     "watch": watch,
     "figure": figure,
+    "compare": compare,
     "benchmark": benchmark,
     "list": list_levels,
     "doctor": doctor,
 }
-WITHOUT_SETTINGS = ("list", "doctor")
+WITHOUT_SETTINGS = ("list", "doctor", "compare")
 USAGE = """\
 marl-clean COMMAND [key=value ...]
 
@@ -178,6 +187,9 @@ def _parser(name: str) -> Parser:
         parser.add_argument("name", metavar="NAME", help="the figure, such as paper_1")
     if name == "train":
         parser.add_argument("-m", "--multirun", action="store_true", help="all combinations")
+    if name == "compare":
+        parser.add_argument("runs", metavar="RUN", nargs="+", help="folders of finished runs")
+        parser.add_argument("--out", type=Path, help="where to write the rows as json")
     if name not in WITHOUT_SETTINGS:
         parser.add_argument("settings", metavar="key=value", nargs="*", help="Hydra overrides")
     return parser

@@ -1,0 +1,75 @@
+"""Runs of several seeds are one row, and what is no run is left out in one line."""
+
+import json
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+from rich.console import Console
+
+from marl_clean import compare
+from marl_clean.compose import compose_config
+from marl_clean.errors import BadInput
+from marl_clean.evaluation.records import MEASURES, make_entry, write_entries
+
+QUIET = Console(quiet=True)
+
+
+def house(seed: int, time: int | None) -> dict:
+    record = {measure: 1.0 for measure in MEASURES if not measure.endswith("certify")}
+    record |= {f"bound_{name}": 10 for name in ("90", "95", "99", "100")}
+    return record | {"seed": seed, "max_steps": 250, "T_100": time, "T_90": time}
+
+
+def write_run(folder, overrides: list[str], times: list[int | None], first_house: int = 7) -> str:
+    config = compose_config([*overrides, f"name={folder.name}"])
+    folder.mkdir()
+    (folder / "config.yaml").write_text(OmegaConf.to_yaml(config))
+    houses = [house(first_house + i, time) for i, time in enumerate(times)]
+    rival = [house(first_house + i, 50) for i in range(len(times))]
+    entries = [
+        make_entry(folder.name, "test", "hash", 0.02, 2, houses),
+        make_entry("nearest_unknown", "test", "hash", 0.0, 2, rival),
+    ]
+    write_entries(folder / "evaluation.json", entries)
+    return str(folder)
+
+
+def test_seeds_are_pooled_and_other_settings_are_not(tmp_path) -> None:
+    runs = [
+        write_run(tmp_path / "plan-s0", ["seed=0"], [40, 60]),
+        write_run(tmp_path / "plan-s1", ["seed=1"], [80, None]),
+        write_run(tmp_path / "none-s0", ["comm=none"], [50, 50]),
+    ]
+    rows = compare.main(runs, tmp_path / "out.json", QUIET)
+    assert [row["policy"] for row in rows] == ["plan (2 seeds)", "none-s0", "nearest_unknown"]
+    pooled = rows[0]["summary"]["T_100"]
+    assert pooled["mean"] == np.mean([40, 60, 80, 250]) and pooled["reached"] == 0.75
+    low, high = pooled["ci95"]
+    assert low <= 50  # whole runs are drawn, so that one of the seeds may stand alone
+    assert high > 120
+    assert json.loads((tmp_path / "out.json").read_text()) == rows
+
+
+def test_what_is_no_finished_run_is_left_out_in_one_line(tmp_path, caplog) -> None:
+    good = write_run(tmp_path / "good", [], [40, 60])
+    half = tmp_path / "half"
+    half.mkdir()
+    (half / "config.yaml").write_text(OmegaConf.to_yaml(compose_config(["name=half"])))
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    rows = compare.main([good, str(half), str(foreign)], console=QUIET)
+    assert rows[0]["policy"] == "good"
+    assert len(caplog.messages) == 2
+    assert "half" in caplog.messages[0] and "foreign" in caplog.messages[1]
+
+
+def test_seeds_on_other_houses_and_no_run_at_all_are_refused(tmp_path) -> None:
+    runs = [
+        write_run(tmp_path / "a-s0", ["seed=0"], [40, 60]),
+        write_run(tmp_path / "a-s1", ["seed=1"], [40, 60], first_house=9),
+    ]
+    with pytest.raises(BadInput, match="other houses"):
+        compare.main(runs, console=QUIET)
+    with pytest.raises(BadInput, match="no finished run"):
+        compare.main([str(tmp_path / "nothing")], console=QUIET)
