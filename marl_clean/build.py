@@ -36,6 +36,7 @@ def make_env(
     num_envs: int | None = None,
     house_order: HouseOrder = HouseOrder.RANDOM,
     never_stuck: bool = False,
+    first_env: int = 0,
 ) -> TransformedEnv:
     """Put env, topology, observation and reward together.
 
@@ -45,6 +46,7 @@ def make_env(
         num_envs: instead of `cfg.env.num_envs`.
         house_order: whether episodes draw their house, or env i plays house i.
         never_stuck: without truncation when nothing new is cleaned, as evaluation plays.
+        first_env: index of the first world; what is drawn in a world depends on its index.
     """
     topology = instantiate(cfg.topology)
     observation = instantiate(cfg.observation)
@@ -57,6 +59,7 @@ def make_env(
         margin=max(1, observation.view_size // 2),
         house_order=house_order,
         contact=topology.contact,
+        first_env=first_env,
         seed=cfg.seed,
         device=torch.device(cfg.device),
         **changes,

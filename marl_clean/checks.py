@@ -6,6 +6,7 @@ from omegaconf import DictConfig
 
 from marl_clean.errors import BadInput
 from marl_clean.house.base import draw_houses, split_seeds
+from marl_clean.house.floorplan import FloorPlan
 from marl_clean.schema import instantiate
 
 
@@ -17,6 +18,15 @@ def check_house(config: DictConfig) -> None:
     """
     house = instantiate(config.house)
     draw_houses(house, split_seeds("test", 1), config.env.n_agents)
+
+
+def check_plans(config: DictConfig) -> None:
+    """Raises BadInput for a plan of `evaluation.plans` that cannot be read or holds no robots."""
+    for path in config.evaluation.plans:
+        try:
+            draw_houses(FloorPlan(path), [], config.env.n_agents)
+        except BadInput as error:
+            raise BadInput(f"evaluation.plans: {error}") from None
 
 
 def check_out(path: Path) -> None:

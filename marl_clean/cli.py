@@ -29,10 +29,12 @@ def train(arguments: argparse.Namespace) -> int:
 
         sweep.run(arguments.settings)
         return 0
+    from marl_clean.checks import check_plans
     from marl_clean.compose import compose_config
     from marl_clean.stored import RUNS, check_same_run
 
     config = _checked(compose_config(arguments.settings))
+    check_plans(config)
     check_same_run(config, RUNS / config.name)
     from marl_clean import train as command
 
@@ -43,10 +45,14 @@ def train(arguments: argparse.Namespace) -> int:
 def evaluate(arguments: argparse.Namespace) -> int:
     """measure checkpoint=RUN or planner=NAME on held-out houses or on a plan"""
     from marl_clean.checks import check_out
+    from marl_clean.compose import config_hash
     from marl_clean.stored import RUNS, compose_for_policy
 
     config = _checked(compose_for_policy(arguments.settings))
-    out = Path(config.out or RUNS / "evaluate" / config.name / "evaluation.json")
+    name = config.name
+    if config.checkpoint is not None and len(arguments.settings) > 1:  # measured elsewhere
+        name = f"{name}-{config_hash(config)[:8]}"
+    out = Path(config.out or RUNS / "evaluate" / name / "evaluation.json")
     check_out(out)
     from marl_clean import evaluate as command
 

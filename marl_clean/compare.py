@@ -7,12 +7,13 @@ from pathlib import Path
 
 from rich.console import Console
 
+from marl_clean.compose import OUTSIDE_THE_HASH
 from marl_clean.errors import BadInput
-from marl_clean.evaluation.records import Entry, read_entries, summarise, write_entries
+from marl_clean.evaluation.records import MEASURED, Entry, read_entries, summarise, write_entries
 from marl_clean.evaluation.table import make_table, output
 from marl_clean.stored import RUNS, find_run, load_config
 
-BESIDE_THE_POINT = ("seed", "name", "device", "logger", "checkpoint", "out")
+BESIDE_THE_POINT = (*OUTSIDE_THE_HASH, "seed")
 log = logging.getLogger(__name__)
 
 
@@ -25,43 +26,41 @@ def main(
     named in one line and left out. `out`: where the entries are written as json.
     Raises BadInput when no run is left.
     """
-    learned: dict[tuple[str, str], list[Entry]] = {}
-    planners: dict[tuple[str, str], list[Entry]] = {}
+    tables: dict[str, dict[str, list[Entry]]] = {}  # by what was played, then by row
     for run in runs:
         try:
             folder = find_run(run)
             name, setting = _name_and_setting(folder)
-            entries = read_entries(folder / "evaluation.json")
+            entries = read_entries(folder / MEASURED)
         except BadInput as error:
             log.warning("left out: %s", error)
             continue
         for entry in entries:
+            table = tables.setdefault(_what_was_played(entry), {})
             if entry["policy"] == name:
-                learned.setdefault((setting, entry["house_set"]), []).append(entry)
+                table.setdefault(setting, []).append(entry)
             else:
-                planners[entry["policy"], entry["house_set"]] = [entry]
-    if not learned:
+                table[entry["policy"]] = [entry]  # a planner plays the same for every run
+    if not tables:
         raise BadInput(f"compare: no finished run among {', '.join(runs)}; give folders of {RUNS}/")
-    rows = [pooled(entries) for entries in [*learned.values(), *planners.values()]]
     console = console or output()
-    for house_set in dict.fromkeys(row["house_set"] for row in rows):
-        console.print(make_table([row for row in rows if row["house_set"] == house_set]))
+    rows = []
+    for table in tables.values():
+        of_table = [pooled(entries) for entries in table.values()]
+        of_table.sort(key=lambda row: row["epsilon"] == 0)  # the planners last
+        console.print(make_table(of_table))
+        rows += of_table
     if out is not None:
         write_entries(out, rows)
     return rows
 
 
 def pooled(entries: Sequence[Entry]) -> Entry:
-    """One policy's entries, a run each, as one; the name tells how many seeds it has.
-
-    Raises BadInput where the runs were not measured on the same houses.
-    """
+    """One policy's entries, a run each on the same houses, as one; its name tells how many."""
     first = entries[0]
     if len(entries) == 1:
         return first
     houses = [entry["houses"] for entry in entries]
-    if any([_origin(house) for house in run] != [_origin(h) for h in houses[0]] for run in houses):
-        raise BadInput(f"compare: {first['policy']} and its other seeds played other houses")
     return {
         **first,
         "policy": f"{_common_start([entry['policy'] for entry in entries])} ({len(entries)} seeds)",
@@ -77,8 +76,11 @@ def _name_and_setting(folder: Path) -> tuple[str, str]:
     return config["name"], json.dumps(setting, sort_keys=True)
 
 
-def _origin(house: dict) -> int | str:
-    return house["seed"] if "seed" in house else house["path"]
+def _what_was_played(entry: Entry) -> str:
+    """What makes entries comparable: the same robots in the same houses from the same starts."""
+    names = ("seed", "path", "rows", "cols", "free_cells", "bound_100", "max_steps")
+    houses = [[house.get(name) for name in names] for house in entry["houses"]]
+    return json.dumps([entry["house_set"], entry["n_agents"], houses])
 
 
 def _common_start(names: Sequence[str]) -> str:

@@ -89,8 +89,12 @@ def _ascending(value: list[int]) -> list[int]:
     return value
 
 
-PositiveInt = Annotated[int, Field(ge=1)]
-NonNegativeInt = Annotated[int, Field(ge=0)]
+PositiveInt = Annotated[int, Field(ge=1, lt=2**31)]
+NonNegativeInt = Annotated[int, Field(ge=0, lt=2**31)]
+Worlds = Annotated[int, Field(ge=1, le=1_000_000)]
+Layers = Annotated[list[PositiveInt], Field(min_length=1)]
+RadiusCells = Annotated[float, Field(gt=0, le=64)]
+PositiveShare = Annotated[float, Field(gt=0, le=1)]
 OddInt = Annotated[int, Field(ge=1), AfterValidator(_odd)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]

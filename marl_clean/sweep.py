@@ -9,7 +9,7 @@ from hydra.core.plugins import Plugins
 from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig
 
-from marl_clean.checks import check_device, check_house
+from marl_clean.checks import check_device, check_house, check_plans
 from marl_clean.compose import (
     checked,
     compose_config,
@@ -55,6 +55,7 @@ def named_jobs(parsed: Sequence[Override]) -> list[list[str]]:
         if any(setting.startswith("name=") for setting in job):
             config.name = f"{config.name}/{config_hash(config)[:8]}"
         check_house(config)
+        check_plans(config)
         check_same_run(config, RUNS / config.name)
         jobs[config.name] = [*job, f"name={config.name}"]
     return list(jobs.values())

@@ -9,16 +9,15 @@ from rich.console import Console
 
 from marl_clean import build, files
 from marl_clean.compose import compose_config
+from marl_clean.errors import BadInput
 from marl_clean.evaluation.evaluator import measure_beside_planners, measure_planner, validate
-from marl_clean.evaluation.records import Entry, read_entries, write_entries
+from marl_clean.evaluation.records import MEASURED, Entry, read_entries, write_entries
 from marl_clean.evaluation.table import make_table, output
 from marl_clean.report.curve import draw_curve
 from marl_clean.report.replay import make_replay
 from marl_clean.schema import instantiate
 from marl_clean.stored import CONFIG
 from marl_clean.trainer.off_policy import Outcome
-
-MEASURED = "evaluation.json"
 
 
 def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[Entry]:
@@ -33,16 +32,17 @@ def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[
     """
     console = console or output()
     outcome = train(cfg, folder)
-    if outcome.was_finished and (folder / MEASURED).is_file():
+    if outcome.was_finished:
         console.print(f"{folder} is finished: {outcome.frames:,} frames", soft_wrap=True)
+    if outcome.was_finished and (folder / MEASURED).is_file():
         entries = read_entries(folder / MEASURED)
     else:
         entries = measure_all(cfg, folder)
         write_entries(folder / MEASURED, entries)
-        draw(cfg, folder)
+    draw(cfg, folder)
     for house_set in dict.fromkeys(entry["house_set"] for entry in entries):
         console.print(make_table([e for e in entries if e["house_set"] == house_set]))
-    console.print(f"in {folder}: {MEASURED}, curve.png, replay.gif, checkpoints", soft_wrap=True)
+    console.print(f"in {folder}: {', '.join(sorted(f.name for f in folder.iterdir()))}")
     return entries
 
 
@@ -53,14 +53,20 @@ def train(cfg: DictConfig, folder: Path) -> Outcome:
     env = build.make_env(cfg)
     agent = build.make_agent(cfg, env)
     trainer = instantiate(cfg.trainer)
+    trainer.check(env)
     loggers = [instantiate(section, folder=folder) for section in cfg.logger.values()]
-    folder.mkdir(parents=True, exist_ok=True)
-    files.write_file(folder / CONFIG, [OmegaConf.to_yaml(cfg, resolve=True).encode()])
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        files.write_file(folder / CONFIG, [OmegaConf.to_yaml(cfg, resolve=True).encode()])
+    except OSError as error:
+        raise BadInput(f"name={cfg.name}: {folder} cannot be written: {error.strerror}") from error
     return trainer.train(env, agent, lambda policy: validate(cfg, policy), loggers, folder)
 
 
 def measure_all(cfg: DictConfig, folder: Path) -> list[Entry]:
-    """Measure the best weights and the planners on held-out houses and on each plan."""
+    """Measure the best weights and the planners on test houses and on each plan."""
+    cfg = cfg.copy()
+    cfg.evaluation.house_set = "test"  # validation houses have chosen the weights
     policy = build.load_policy(folder).to(cfg.device)
     entries = measure_beside_planners(cfg, policy, cfg.name)
     for plan in cfg.evaluation.plans:
@@ -71,18 +77,26 @@ def measure_all(cfg: DictConfig, folder: Path) -> list[Entry]:
 def on_plan(cfg: DictConfig, plan: str) -> DictConfig:
     """Return the same config in the house of a floor plan file."""
     there = cfg.copy()
-    there.house = compose_config(["house=floorplan", f"house.path={plan}"]).house
+    there.house = compose_config(["house=floorplan", "house.path=apartment"]).house
+    there.house.path = plan
     return there
 
 
 def draw(cfg: DictConfig, folder: Path) -> None:
-    """Draw the learning curve beside nearest_unknown, and an episode of the policy."""
+    """Draw what is not drawn yet: the learning curve beside nearest_unknown, and an episode."""
+    metrics, curve, replay = (folder / name for name in ("metrics.csv", "curve.png", "replay.gif"))
+    if metrics.is_file() and not curve.is_file():
+        draw_curve(metrics, curve, planner_means(cfg))
+    if not replay.is_file():
+        policy = build.load_policy(folder).to(cfg.device)
+        make_replay(cfg, lambda env: policy, replay, cfg.evaluation.epsilon)
+
+
+def planner_means(cfg: DictConfig) -> dict[str, float]:
+    """Measure nearest_unknown on the validation houses, which the curve is of."""
     rival = cfg.copy()
     rival.planner = compose_config(["planner=nearest_unknown"]).planner
     rival.evaluation.house_set = "validation"
     summary = measure_planner(rival)["summary"]
     means = {name: measure["mean"] for name, measure in summary.items()}
-    means = {name: mean for name, mean in means.items() if mean is not None}
-    draw_curve(folder / "metrics.csv", folder / "curve.png", means)
-    policy = build.load_policy(folder).to(cfg.device)
-    make_replay(cfg, lambda env: policy, folder / "replay.gif", cfg.evaluation.epsilon)
+    return {name: mean for name, mean in means.items() if mean is not None}

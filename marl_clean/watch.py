@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from omegaconf import DictConfig
 
-from marl_clean.report.episode import held_out_env, policy_of, scenes
+from marl_clean.report.episode import first_held_out, policy_of, scenes
 from marl_clean.viewer import draw_text
 
 FRAMES_PER_SECOND = 8.0
@@ -24,7 +24,7 @@ def main(
     Into a file or a pipe goes the last frame alone, as plain text and without delay.
     """
     out = sys.stdout
-    moments = scenes(held_out_env(cfg), policy_of(cfg))
+    moments = scenes(first_held_out(cfg), policy_of(cfg))
     if not out.isatty():
         *_, last = moments
         out.write(draw_text(last, colour=False) + "\n")

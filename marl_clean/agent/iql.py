@@ -14,7 +14,7 @@ from torchrl.objectives.utils import TargetNetUpdater
 from marl_clean import keys, symmetry
 from marl_clean.agent.base import Agent, QNetwork
 from marl_clean.comm.base import Comm
-from marl_clean.settings import PositiveFloat, PositiveInt, Probability
+from marl_clean.settings import PositiveFloat, PositiveInt, PositiveShare, Probability
 
 SEEN = (keys.OBSERVATION, keys.ADJACENCY, keys.DISTANCE_RANK)
 DONE, TERMINATED = (keys.AGENTS, keys.DONE), (keys.AGENTS, keys.TERMINATED)
@@ -108,7 +108,7 @@ class Iql(Agent):
         loss: Literal["smooth_l1", "l2", "l1"],
         max_grad_norm: PositiveFloat,
         target_update: Literal["soft", "hard"],
-        tau: Probability,
+        tau: PositiveShare,
         target_period: PositiveInt,
         eps_init: Probability,
         eps_end: Probability,

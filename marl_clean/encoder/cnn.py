@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from marl_clean.errors import BadInput
-from marl_clean.settings import NonNegativeInt, PositiveInt, Probability
+from marl_clean.settings import Layers, NonNegativeInt, PositiveInt, Probability
 from marl_clean.world.rules import BLOCKED_VALUE, CLEANED_VALUE, ROBOT_VALUE, UNKNOWN_VALUE
 
 
@@ -57,11 +57,11 @@ class Cnn(nn.Module):
     def __init__(
         self,
         observation_shape: torch.Size,
-        channels: list[PositiveInt],
+        channels: Layers,
         kernel_size: PositiveInt,
-        strides: list[PositiveInt],
+        strides: Layers,
         padding: NonNegativeInt,
-        hidden: list[PositiveInt],
+        hidden: Layers,
         dropout: Probability,
         planes: bool,
         channels_last: bool,

@@ -27,6 +27,7 @@ from marl_clean.settings import (
     ObstaclePay,
     PositiveInt,
     Sensor,
+    Worlds,
 )
 from marl_clean.viewer import draw
 from marl_clean.world.dynamics import MOVES, advance, commit_, episode_ends, touch_
@@ -112,7 +113,7 @@ class CleaningEnv(EnvBase):
         houses: Houses,
         *,
         n_agents: PositiveInt = 2,
-        num_envs: PositiveInt = 128,
+        num_envs: Worlds = 128,
         memory: Memory = Memory.SHARED,
         knowledge: Knowledge = Knowledge.UNKNOWN,
         sensor: Sensor = Sensor.BUMP,

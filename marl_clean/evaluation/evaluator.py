@@ -5,7 +5,6 @@ not change what the run learns.
 """
 
 from collections.abc import Callable
-from dataclasses import fields, replace
 
 import torch
 from jaxtyping import Bool, Int
@@ -29,7 +28,9 @@ from marl_clean.world.random import Purpose, random_below, random_bits
 
 PolicyFor = Callable[[TransformedEnv], nn.Module]  # a planner is bound to its env, a network is not
 
-START_SEED = 0  # of the starts in held-out houses, whatever the run's own seed
+START_SEEDS = {"validation": 2**31 + 1, "test": 2**31 + 2}
+"""Of the starts in held-out houses: above every run's own seed, another for each split, so that
+a plan's validation episodes are neither those of its test nor of training."""
 CELLS_AT_ONCE = 4_000_000  # bounds the memory to some hundred MB
 YARDSTICKS = (
     ["planner=random"],
@@ -58,20 +59,31 @@ def evaluate(
     records = []
     for first in range(0, count, at_once):
         num_envs = min(at_once, count - first)
-        chunk = houses if len(houses) == 1 else some_houses(houses, slice(first, first + num_envs))
-        env = build.make_env(
-            cfg, chunk, num_envs=num_envs, house_order=HouseOrder.FIXED, never_stuck=True
-        )
-        env.set_seed(START_SEED + first)
-        records += [
-            {source_key(source): source, **record}
-            for source, record in zip(
-                chunk.sources * (num_envs // len(chunk)),
-                play(env, policy_for(env), epsilon, certify),
-                strict=True,
-            )
-        ]
+        env = held_out_env(cfg, houses, house_set, num_envs, first)
+        played = play(env, policy_for(env), epsilon, certify)
+        for index, record in enumerate(played, start=first):
+            source = houses.sources[index % len(houses)]
+            records.append({source_key(source): source, **record})
     return records
+
+
+def held_out_env(
+    cfg: DictConfig, houses: Houses, house_set: str, num_envs: int, first: int = 0
+) -> TransformedEnv:
+    """The env of held-out houses `first`, `first + 1`, ...: house i is environment i.
+
+    How many are played at once changes no episode.
+    """
+    env = build.make_env(
+        cfg,
+        houses,
+        num_envs=num_envs,
+        first_env=first,
+        house_order=HouseOrder.FIXED,
+        never_stuck=True,
+    )
+    env.set_seed(START_SEEDS[house_set])
+    return env
 
 
 def validate(cfg: DictConfig, policy: nn.Module) -> dict[str, float]:
@@ -172,14 +184,6 @@ def with_random_actions(
     )
     explores = random_bits(*words, 0) < round(epsilon * 2**32)
     return torch.where(explores, random_below(4, *words, 1), action)
-
-
-def some_houses(houses: Houses, which: slice) -> Houses:
-    """A part of a stack of houses."""
-    parts = {field.name: getattr(houses, field.name) for field in fields(houses)}
-    return replace(
-        houses, **{name: part[which] for name, part in parts.items() if part is not None}
-    )
 
 
 def source_key(source: int | str) -> str:

@@ -17,6 +17,7 @@ from marl_clean.errors import BadInput
 from marl_clean.evaluation.statistics import as_sample, estimate, iqm
 
 SCHEMA = 1
+MEASURED = "evaluation.json"
 WORLD = 0
 
 House = Mapping[str, Any]  # one house's record

@@ -14,7 +14,8 @@ YARDSTICK = "nearest_unknown"
 NONE = "-"
 WIDTH = 126  # characters that the table needs
 CAPTION = (
-    "Means over houses, with 95 % intervals. A house not finished counts as its max_steps.\n"
+    "Means over houses (of a plan: over starts), with 95 % intervals. A house not finished counts\n"
+    "as its max_steps. Learned policies act at random as often as evaluation.epsilon says.\n"
     f"x: the mean as a multiple of {YARDSTICK}'s. Coverage is that at max_steps."
 )
 
@@ -27,7 +28,9 @@ def output() -> Console:
 def make_table(entries: Sequence[Entry]) -> Table:
     """Rows in the order given; each is compared with the yardstick on its own houses."""
     first = entries[0]
-    count = min(len(entry["houses"]) for entry in entries)  # several seeds played them several times
+    count = min(
+        len(entry["houses"]) for entry in entries
+    )  # several seeds played them several times
     table = Table(
         title=f"{count} houses ({first['house_set']}), {first['n_agents']} robots",
         caption=CAPTION,

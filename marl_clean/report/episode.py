@@ -10,9 +10,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from marl_clean import build
 from marl_clean.env.scene import scene_of
-from marl_clean.evaluation.evaluator import START_SEED, PolicyFor, with_random_actions
+from marl_clean.evaluation.evaluator import PolicyFor, held_out_env, with_random_actions
 from marl_clean.keys import ACTION, ADJACENCY, DONE
-from marl_clean.settings import HouseOrder
 from marl_clean.stored import find_run
 from marl_clean.viewer import Scene
 
@@ -25,12 +24,10 @@ def policy_of(cfg: DictConfig) -> PolicyFor:
     return lambda env: policy
 
 
-def held_out_env(cfg: DictConfig) -> TransformedEnv:
+def first_held_out(cfg: DictConfig) -> TransformedEnv:
     """The first held-out house alone, started as in an evaluation."""
-    houses = build.held_out_houses(cfg, cfg.evaluation.house_set, 1)
-    env = build.make_env(cfg, houses, num_envs=1, house_order=HouseOrder.FIXED, never_stuck=True)
-    env.set_seed(START_SEED)
-    return env
+    house_set = cfg.evaluation.house_set
+    return held_out_env(cfg, build.held_out_houses(cfg, house_set, 1), house_set, num_envs=1)
 
 
 def frames(

@@ -15,7 +15,7 @@ from marl_clean.env.scene import scene_of
 from marl_clean.house.base import Houses
 from marl_clean.keys import OBSERVATION
 from marl_clean.report.axes import STYLE, draw_cells, draw_robots, new_figure, unit
-from marl_clean.report.episode import frames, held_out_env, policy_of
+from marl_clean.report.episode import first_held_out, frames, policy_of
 from marl_clean.viewer import (
     BLOCKED,
     DIRTY,
@@ -69,7 +69,7 @@ def houses(cfg: DictConfig) -> Figure:
 
 def paper_2(cfg: DictConfig) -> Figure:
     """The robots' memory, and the square of it that robot 1 sees (paper figure 2)."""
-    env = held_out_env(cfg)
+    env = first_held_out(cfg)
     *_, moment = islice(frames(env, policy_of(cfg)), MEMORY_STEPS + 1)
     view = moment[OBSERVATION][0, 0, 0].cpu().numpy()
     scene = scene_of(env.base_env.state, env.base_env.rules, 0)

@@ -9,7 +9,7 @@ from PIL import Image
 
 from marl_clean import files
 from marl_clean.evaluation.evaluator import PolicyFor
-from marl_clean.report.episode import held_out_env, scenes
+from marl_clean.report.episode import first_held_out, scenes
 from marl_clean.viewer import Scene, draw
 
 MAX_BYTES = 2_000_000
@@ -23,7 +23,7 @@ LARGEST_CELL = 24  # pixels
 
 def make_replay(cfg: DictConfig, policy_for: PolicyFor, path: Path, epsilon: float = 0.0) -> None:
     """Play the first held-out house of `cfg` and write it to `path` as a GIF below 2 MB."""
-    write_gif(path, scenes(held_out_env(cfg), policy_for, epsilon))
+    write_gif(path, scenes(first_held_out(cfg), policy_for, epsilon))
 
 
 def write_gif(path: Path, moments: Iterable[Scene], max_bytes: int = MAX_BYTES) -> None:

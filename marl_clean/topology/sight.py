@@ -5,7 +5,7 @@ import math
 from jaxtyping import Bool
 from torch import Tensor
 
-from marl_clean.settings import OddInt, PositiveFloat
+from marl_clean.settings import OddInt, RadiusCells
 from marl_clean.topology.base import Topology
 from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import crossed_cells, in_sight
@@ -23,7 +23,7 @@ class Sight(Topology):
         view_size: side of the square that a robot sees.
     """
 
-    def __init__(self, radius_cells: PositiveFloat | None = None, view_size: OddInt = 15) -> None:
+    def __init__(self, radius_cells: RadiusCells | None = None, view_size: OddInt = 15) -> None:
         super().__init__()
         self.radius_cells = float(view_size // 2) if radius_cells is None else radius_cells
         self.register_buffer(

@@ -79,6 +79,16 @@ class OffPolicy:
         self.checkpoint_interval_frames = checkpoint_interval_frames
         self.select_by = select_by
 
+    def check(self, env: EnvBase) -> None:
+        """Raise BadInput where a setting does not fit the env."""
+        num_envs = env.batch_size.numel()
+        if self.frames_per_batch % num_envs:
+            near = max(1, self.frames_per_batch // num_envs) * num_envs
+            raise BadInput(
+                f"trainer.frames_per_batch={self.frames_per_batch}: must be a multiple of"
+                f" env.num_envs={num_envs}, such as {near}"
+            )
+
     def train(
         self,
         env: EnvBase,
@@ -130,13 +140,7 @@ class _Run:
         loggers: list[Logger],
         checkpoints: Checkpoints,
     ) -> None:
-        num_envs = env.batch_size.numel()
-        if settings.frames_per_batch % num_envs:
-            near = max(1, settings.frames_per_batch // num_envs) * num_envs
-            raise BadInput(
-                f"trainer.frames_per_batch={settings.frames_per_batch}: must be a multiple of"
-                f" env.num_envs={num_envs}, such as {near}"
-            )
+        settings.check(env)
         self.settings, self.env, self.agent = settings, env, agent
         self.evaluate, self.loggers, self.checkpoints = evaluate, loggers, checkpoints
         self.collector = CarriedCollector(
@@ -173,7 +177,7 @@ class _Run:
             self.replay.extend(ready.flatten())
         done = later[keys.DONE].squeeze(-1)
         self.tally.add("reward", later[keys.REWARD])
-        self.tally.add("return", later[keys.EPISODE_REWARD].mean((-2, -1)), where=done)
+        self.tally.add("episode_reward", later[keys.EPISODE_REWARD].mean((-2, -1)), where=done)
         self.tally.add("finished", later[keys.TERMINATED].squeeze(-1).double(), where=done)
 
     def learn(self) -> None:

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from marl_clean.settings import HouseOrder, Knowledge, Memory, Sensor
+from marl_clean.settings import LARGEST_SIDE, HouseOrder, Knowledge, Memory, Sensor
 from marl_clean.world.dynamics import touch_
 from marl_clean.world.furniture import inside_house, shift_piece
 from marl_clean.world.random import Purpose, random_below, random_bits
@@ -64,12 +64,14 @@ def begin(
             houses, house, env_index, episode, seed, furniture.before_start, before_start=True
         )
         inside = inside_house(houses.rows[house], houses.cols[house], height, width, rules.margin)
+        given = cell_index(houses.starts[house], rules.margin, width).clamp(min=0)
+        starts = torch.zeros_like(blocked).flatten(1).scatter(1, given, True).view_as(blocked)
         for move in range(furniture.before_start):
             blocked, piece = shift_piece(
                 blocked,
                 piece,
                 inside,
-                torch.zeros_like(blocked),
+                starts,
                 moves[:, move, 1],
                 moves[:, move, 2],
             )
@@ -117,25 +119,25 @@ def draw_starts(
 ) -> Int[Tensor, "env agent 2"]:
     """Place the robots on distinct free cells: where the plan says, else drawn uniformly.
 
-    The n free cells with the highest random words; a word's low bits are the cell, so that no
-    two are equal and every batch shape sorts them alike.
+    The n free cells with the highest random words. A word is drawn for the cell's place in the
+    house and ends with it: padding has no part in it, and no two are equal.
     """
     width = blocked.shape[2]
     n_agents = houses.starts.shape[1]
     given = houses.starts[house]
-    given_cell = torch.where((given >= 0).all(-1), cell_index(given, rules.margin, width), -1)
+    is_given = (given >= 0).all(-1)
     cells = houses.free_cells[house]
     if rules.knowledge is Knowledge.STALE:  # furniture has moved: the house's own list is stale too
         cells = torch.arange(blocked[0].numel(), device=house.device).expand(len(house), -1)
-    drawn = random_bits(
-        seed, env_index[:, None], episode[:, None], Purpose.START, cells.clamp(min=0)
-    )
-    key = drawn * 2**31 + cells
+    place = torch.stack([cells // width, cells % width], -1) - rules.margin
     usable = (cells >= 0) & ~blocked.flatten(1).gather(1, cells.clamp(min=0))
-    usable = usable & ~(cells[:, :, None] == given_cell[:, None, :]).any(-1)
-    best = torch.where(usable, key, -1).topk(n_agents, dim=1).values % 2**31
-    cell = torch.where(given_cell >= 0, given_cell, best)
-    return torch.stack([cell // width, cell % width], -1) - rules.margin
+    usable = usable & ~(place[:, :, None] == given[:, None, :]).all(-1).any(-1)
+    label = torch.where(usable, place[..., 0] * LARGEST_SIDE + place[..., 1], 0)
+    word = random_bits(seed, env_index[:, None], episode[:, None], Purpose.START, label)
+    key = torch.where(usable, word * LARGEST_SIDE**2 + label, -1)
+    best = key.topk(n_agents, dim=1).values % LARGEST_SIDE**2
+    drawn = torch.stack([best // LARGEST_SIDE, best % LARGEST_SIDE], -1)
+    return torch.where(is_given[..., None], given, drawn)
 
 
 def draw_furniture_moves(
