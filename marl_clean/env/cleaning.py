@@ -9,12 +9,12 @@ import torch
 from jaxtyping import Bool, UInt8
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
 from marl_clean import keys
 from marl_clean.env.houses import house_tensors
 from marl_clean.env.scene import scene_of
+from marl_clean.env.specs import REWARD_TERMS, make_specs
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses
 from marl_clean.settings import (
@@ -37,7 +37,6 @@ from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import merge_maps
 from marl_clean.world.state import State
 
-REWARD_TERMS = ("step", "cleaning", "discovery")
 Contact = Callable[[State, Rules], Bool[Tensor, "env agent agent"]]
 
 
@@ -163,7 +162,9 @@ class CleaningEnv(EnvBase):
         self._houses = house_tensors(houses, n_agents, max_steps, margin, self.device)
         self.moves = torch.tensor(MOVES, device=self.device)
         self.env_index = torch.arange(first_env, first_env + num_envs, device=self.device)
-        self._make_specs()
+        specs = make_specs(num_envs, n_agents, largest_side=max(houses.free.shape[1:]))
+        self.action_spec, self.observation_spec, self.reward_spec, self.done_spec = specs
+        self.to(self.device)
         self._set_seed(seed)
         everyone = torch.arange(num_envs, device=self.device)
         self.state = self._begin(everyone, torch.zeros_like(everyone))
@@ -191,27 +192,6 @@ class CleaningEnv(EnvBase):
             kwargs = {"options": options, **self._compile_kwargs}
             self._compiled[function] = torch.compile(function, **kwargs)
         return self._compiled[function]
-
-    def _make_specs(self) -> None:
-        agents = torch.Size([self.num_envs, self.n_agents])
-        one = torch.Size([*agents, 1])
-
-        def of_agents(**specs: TensorSpec) -> Composite:
-            return Composite(agents=Composite(**specs, shape=agents), shape=self.batch_size)
-
-        flag = torch.Size([self.num_envs, 1])
-        self.action_spec = of_agents(action=Categorical(len(MOVES), shape=agents))
-        highest = max(self.houses.free.shape[1:])
-        self.observation_spec = of_agents(
-            position=Bounded(0, highest, shape=torch.Size([*agents, 2]), dtype=torch.int64)
-        )
-        terms = {name: Unbounded(one) for name in REWARD_TERMS}
-        self.reward_spec = of_agents(
-            own_reward=Unbounded(one), info=Composite(**terms, shape=agents)
-        )
-        flags = {name: Binary(1, flag, dtype=torch.bool) for name in keys.ENDINGS}
-        self.done_spec = Composite(**flags, shape=self.batch_size)
-        self.to(self.device)
 
     def _begin(self, rows: Tensor, episode: Tensor) -> State:
         return self.compiled(begin)(

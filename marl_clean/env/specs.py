@@ -1,0 +1,30 @@
+"""What goes into and comes out of a `CleaningEnv`, as TorchRL specs."""
+
+import torch
+from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Unbounded
+
+from marl_clean import keys
+from marl_clean.world.dynamics import MOVES
+
+REWARD_TERMS = ("step", "cleaning", "discovery")
+
+
+def make_specs(
+    num_envs: int, n_agents: int, largest_side: int
+) -> tuple[Composite, Composite, Composite, Composite]:
+    """Return the specs of actions, observations, rewards and endings."""
+    agents = torch.Size([num_envs, n_agents])
+    one = torch.Size([*agents, 1])
+
+    def of_agents(**specs: TensorSpec) -> Composite:
+        return Composite(agents=Composite(**specs, shape=agents), shape=agents[:1])
+
+    places = torch.Size([*agents, 2])
+    terms = Composite({name: Unbounded(one) for name in REWARD_TERMS}, shape=agents)
+    flag = Binary(1, torch.Size([num_envs, 1]), dtype=torch.bool)
+    return (
+        of_agents(action=Categorical(len(MOVES), shape=agents)),
+        of_agents(position=Bounded(0, largest_side, shape=places, dtype=torch.int64)),
+        of_agents(own_reward=Unbounded(one), info=terms),
+        Composite({name: flag.clone() for name in keys.ENDINGS}, shape=agents[:1]),
+    )
