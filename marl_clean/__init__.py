@@ -6,6 +6,7 @@
 Importing the package does not import torch; using it does.
 """
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 __version__ = "0.1.0"
@@ -27,7 +28,7 @@ def make_env(overrides: list[str] | None = None) -> "EnvBase":
     return from_config(compose_config(overrides or []))
 
 
-def load_policy(run: str) -> "TensorDictModule":
+def load_policy(run: str | Path) -> "TensorDictModule":
     """The best policy of a run, given by folder or name: observation (and adjacency) to action.
 
     Raises BadInput when there is no such run or its files do not fit.
@@ -35,4 +36,4 @@ def load_policy(run: str) -> "TensorDictModule":
     from marl_clean.build import load_policy as from_folder
     from marl_clean.stored import find_run
 
-    return from_folder(find_run(run))
+    return from_folder(find_run(str(run)))

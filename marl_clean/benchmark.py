@@ -52,8 +52,8 @@ def main(cfg: DictConfig) -> list[Row]:
     rows = []
     for measure in (against_jumanji, over_house_sizes, over_robots):
         rows += measure(cfg)
-    table = Table(title=f"random actions, 15x15 views; {machine()}")
-    for title in ("what", "million robot-steps/s", "ms a step", "ratio", "wanted"):
+    table = Table(title=f"random actions, 15x15 views, staggered resets; {machine()}")
+    for title in ("what", "M robot-steps/s", "ms a step", "ratio", "wanted"):
         table.add_column(title, justify="left" if title == "what" else "right", no_wrap=True)
     for row in rows:
         million = row.robot_steps_per_second and row.robot_steps_per_second / 1e6
@@ -80,26 +80,26 @@ def against_jumanji(cfg: DictConfig) -> list[Row]:
     env = env_of(cfg, num_envs, n_agents, side)
     world, whole = world_seconds(env), env_seconds(env)
     cleaner = cleaner_step_seconds(num_envs, n_agents, side, REPEATS, STEPS)
-    case = f"{num_envs} worlds, {n_agents} robots, {side}x{side}"
+    case = f"{num_envs} worlds x {n_agents}, {side}x{side}"
     return [
         Row(
-            f"Jumanji Cleaner, no view ({case})" if cleaner else "Jumanji: not installed",
+            f"Jumanji Cleaner, no view, {case}" if cleaner else "Jumanji: not installed",
             cleaner and steps / cleaner,
             cleaner and cleaner * 1e3,
         ),
         Row(
-            "world functions: step and view",
+            f"world functions, {case}",
             steps / world,
             world * 1e3,
             cleaner and cleaner / world,
-            "at least 1.00 of Jumanji",
+            ">= 1.00 of Jumanji",
         ),
         Row(
-            "whole env, staggered resets",
+            f"whole env, {case}",
             steps / whole,
             whole * 1e3,
             cleaner and cleaner / whole,
-            "at least 0.50 of Jumanji",
+            ">= 0.50 of Jumanji",
         ),
     ]
 
@@ -115,7 +115,7 @@ def over_house_sizes(cfg: DictConfig) -> list[Row]:
             num_envs * n_agents / large,
             large * 1e3,
             large / small,
-            "at most 2.00 of 20x20",
+            "<= 2.00 of 20x20",
         ),
     ]
 
@@ -131,7 +131,7 @@ def over_robots(cfg: DictConfig) -> list[Row]:
             num_envs * 16 / many,
             many * 1e3,
             (many / 16) / (few / 2),
-            "at most 1.30 a robot",
+            "<= 1.30 a robot",
         ),
     ]
 
