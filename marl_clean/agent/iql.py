@@ -67,6 +67,7 @@ class Iql(Agent):
 
     with Q' the target network, k the steps to the next observation (`n_steps`, fewer at an
     episode's end), and the argmax taken by Q if `double` (arXiv 1509.06461), else by Q'.
+    Dropout, where the encoder has it, is active in all of Q and Q' while learning.
     Messages are made anew from the replayed observations and adjacency, so the gradient of one
     robot's loss reaches the others along live edges. Truncated episodes are bootstrapped.
 

@@ -47,7 +47,7 @@ def assert_same_outcome(tensordict, state, index: int, world: World, outcome) ->
     assert (int(state.num_visited[index]), int(state.num_free[index])) == world.coverage()
 
 
-def play_together(drawn: list[Case], whole_map: bool) -> None:
+def assert_same_play(drawn: list[Case], whole_map: bool) -> None:
     env = env_of(drawn, whole_map)
     worlds = [case.world() for case in drawn]
     side = env.transform[1].view_size
@@ -78,7 +78,7 @@ def _carry(tensordict, after):
 @given(case=cases(), whole_map=st.booleans())
 @hypothesis_settings(max_examples=EXAMPLES, deadline=None)
 def test_every_step_of_random_play_is_the_reference(case: Case, whole_map: bool) -> None:
-    play_together([case], whole_map)
+    assert_same_play([case], whole_map)
 
 
 @given(data=st.data())
@@ -96,7 +96,7 @@ def test_several_worlds_together_equal_each_alone(data: st.DataObject) -> None:
             max_size=3,
         )
     )
-    play_together([first, *others], whole_map=True)
+    assert_same_play([first, *others], whole_map=True)
 
 
 def test_sight_lines_cross_what_they_should() -> None:
