@@ -2,8 +2,9 @@
 
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -14,6 +15,7 @@ from marl_clean.evaluation.table import make_table, output
 from marl_clean.stored import RUNS, find_run, load_config
 
 BESIDE_THE_POINT = (*OUTSIDE_THE_HASH, "seed")
+OF_THE_MACHINE = ("num_envs", "compile")  # of the env: how it is played, not what
 log = logging.getLogger(__name__)
 
 
@@ -30,17 +32,17 @@ def main(
     for run in runs:
         try:
             folder = find_run(run)
-            name, setting = _name_and_setting(folder)
+            config = load_config(folder)
             entries = read_entries(folder / MEASURED)
         except BadInput as error:
             log.warning("left out: %s", error)
             continue
         for entry in entries:
-            table = tables.setdefault(_what_was_played(entry), {})
-            if entry["policy"] == name:
-                table.setdefault(setting, []).append(entry)
+            table = tables.setdefault(_what_was_played(entry, config["env"]), {})
+            if entry["policy"] == config["name"]:
+                table.setdefault(_apart_from_the_seed(config), []).append(entry)
             else:
-                table[entry["policy"]] = [entry]  # a planner plays the same for every run
+                table[entry["policy"]] = [entry]  # in one world a planner plays alike for every run
     if not tables:
         raise BadInput(f"compare: no finished run among {', '.join(runs)}; give folders of {RUNS}/")
     console = console or output()
@@ -69,18 +71,18 @@ def pooled(entries: Sequence[Entry]) -> Entry:
     }
 
 
-def _name_and_setting(folder: Path) -> tuple[str, str]:
-    """A run's name, and all of its config that is not beside the point, as text."""
-    config = load_config(folder)
+def _apart_from_the_seed(config: Mapping[str, Any]) -> str:
+    """All of a run's config that makes it another policy than its other seeds, as text."""
     setting = {key: value for key, value in config.items() if key not in BESIDE_THE_POINT}
-    return config["name"], json.dumps(setting, sort_keys=True)
+    return json.dumps(setting, sort_keys=True)
 
 
-def _what_was_played(entry: Entry) -> str:
-    """What makes entries comparable: the same robots in the same houses from the same starts."""
+def _what_was_played(entry: Entry, env: Mapping[str, Any]) -> str:
+    """What makes entries comparable: one world's rules, and the same houses and starts."""
+    rules = {key: value for key, value in env.items() if key not in OF_THE_MACHINE}
     names = ("seed", "path", "rows", "cols", "free_cells", "bound_100", "max_steps")
     houses = [[house.get(name) for name in names] for house in entry["houses"]]
-    return json.dumps([entry["house_set"], entry["n_agents"], houses])
+    return json.dumps([rules, entry["house_set"], entry["n_agents"], houses], sort_keys=True)
 
 
 def _common_start(names: Sequence[str]) -> str:

@@ -22,7 +22,9 @@ import yaml
 from PIL import Image
 
 from marl_clean.errors import BadInput
-from marl_clean.plan_files import LARGEST_SIDE, is_file, read_bytes, read_lines
+from marl_clean.plan_files import is_file, read_bytes, read_lines
+from marl_clean.safe_yaml import check_plain
+from marl_clean.settings import LARGEST_SIDE
 
 IMAGE_FORMATS = ("PNG", "PPM", "BMP", "JPEG")
 LARGEST_YAML_BYTES = 16 * 2**10
@@ -204,14 +206,7 @@ def _map_server_settings(file: Path) -> dict[str, object]:
     """The yaml as text, lists and mappings: no tags, no anchors, nothing is constructed."""
     try:
         text = read_bytes(file, LARGEST_YAML_BYTES).decode("utf-8")
-        depth = 0
-        for event in yaml.parse(text, Loader=yaml.BaseLoader):
-            if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
-                raise BadInput(f"{file}: yaml anchors and aliases are not read; write values out")
-            depth += isinstance(event, yaml.CollectionStartEvent)
-            depth -= isinstance(event, yaml.CollectionEndEvent)
-            if depth > DEEPEST_YAML:
-                raise BadInput(f"{file}: nested deeper than map_server's keys are")
+        check_plain(text, file, DEEPEST_YAML)
         # The base loader knows less than the safe one: every scalar stays text.
         settings = yaml.load(text, Loader=yaml.BaseLoader)
     except (yaml.YAMLError, UnicodeDecodeError) as error:

@@ -9,7 +9,6 @@ from pathlib import Path
 from marl_clean.errors import BadInput
 
 LARGEST_FILE_BYTES = 16 * 2**20
-LARGEST_SIDE = 4096  # rows or columns, in pixels or cells
 
 
 def find_plan(path: str, shipped: Path, suffixes: tuple[str, ...]) -> Path:

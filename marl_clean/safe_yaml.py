@@ -22,14 +22,7 @@ def load_yaml(path: Path) -> Any:
         if path.stat().st_size > LARGEST_BYTES:
             raise BadInput(f"{path}: larger than 1 MiB; not a settings file")
         text = path.read_text(encoding="utf-8")
-        depth = 0
-        for event in yaml.parse(text, Loader=yaml.SafeLoader):
-            if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
-                raise BadInput(f"{path}: has an anchor or alias; write the value out")
-            depth += isinstance(event, yaml.CollectionStartEvent)
-            depth -= isinstance(event, yaml.CollectionEndEvent)
-            if depth > DEEPEST:
-                raise BadInput(f"{path}: not plain yaml (more than {DEEPEST} sections deep)")
+        check_plain(text, path, DEEPEST)
         return yaml.safe_load(text)
     except OSError as error:
         raise BadInput(f"{path}: {error.strerror}; give a yaml file that can be read") from error
@@ -38,3 +31,19 @@ def load_yaml(path: Path) -> Any:
     except (yaml.YAMLError, ValueError) as error:  # ValueError: not UTF-8, or no such date
         reason = str(error).splitlines()[0]
         raise BadInput(f"{path}: not plain yaml ({reason})") from error
+
+
+def check_plain(text: str, path: Path, deepest: int) -> None:
+    """Read yaml as events alone, which builds nothing, before anybody loads it.
+
+    Raises BadInput for anchors and aliases and for sections nested deeper than `deepest`, and
+    yaml.YAMLError for what is no yaml.
+    """
+    depth = 0
+    for event in yaml.parse(text, Loader=yaml.BaseLoader):
+        if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
+            raise BadInput(f"{path}: yaml anchors and aliases are not read; write the values out")
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > deepest:
+            raise BadInput(f"{path}: not plain yaml, nested more than {deepest} sections deep")

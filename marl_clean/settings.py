@@ -5,7 +5,7 @@ No torch here: the commands check a config against these types before torch is i
 
 import re
 from enum import StrEnum
-from typing import Annotated, TypedDict
+from typing import Annotated, Literal, TypedDict
 
 from pydantic import AfterValidator, Field
 
@@ -94,12 +94,13 @@ NonNegativeInt = Annotated[int, Field(ge=0, lt=2**31)]
 Worlds = Annotated[int, Field(ge=1, le=1_000_000)]
 Layers = Annotated[list[PositiveInt], Field(min_length=1)]
 RadiusCells = Annotated[float, Field(gt=0, le=64)]
+Precision = Literal["float32", "bfloat16"]
 PositiveShare = Annotated[float, Field(gt=0, le=1)]
 OddInt = Annotated[int, Field(ge=1), AfterValidator(_odd)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
-LARGEST_SIDE = 4096  # cells of a house, drawn or loaded
+LARGEST_SIDE = 4096  # rows or columns of a house in cells, or of its image in pixels
 Range = Annotated[
     list[Annotated[int, Field(ge=1, le=LARGEST_SIDE)]],
     Field(min_length=2, max_length=2),

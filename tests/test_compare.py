@@ -74,6 +74,16 @@ def test_runs_on_other_houses_stand_in_a_table_of_their_own(tmp_path) -> None:
     assert [row["policy"] for row in rows] == ["a-s0", "nearest_unknown", "a-s1", "nearest_unknown"]
 
 
+def test_other_rules_of_the_world_are_another_table_with_their_own_planner(tmp_path) -> None:
+    runs = [
+        write_run(tmp_path / "shared", [], [40, 60]),
+        write_run(tmp_path / "private", ["env.memory=private"], [40, 60]),
+        write_run(tmp_path / "more-worlds", ["env.num_envs=256"], [40, 60]),
+    ]
+    rows = [row["policy"] for row in compare.main(runs, console=QUIET)]
+    assert rows == ["shared", "more-worlds", "nearest_unknown", "private", "nearest_unknown"]
+
+
 def test_no_run_at_all_is_refused(tmp_path) -> None:
     with pytest.raises(BadInput, match="no finished run"):
         compare.main([str(tmp_path / "nothing")], console=QUIET)

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -12,11 +12,10 @@ from torch import Tensor, nn
 from torchrl.data import Composite
 
 from marl_clean.comm.base import Comm
+from marl_clean.settings import Precision
 
 NUM_ACTIONS = 4
 """Up, right, down, left (paper §3.2); there is no way to stay."""
-
-Precision = Literal["float32", "bfloat16"]
 
 
 class QNetwork(nn.Module):

@@ -14,7 +14,7 @@ from torchrl.objectives.utils import TargetNetUpdater
 from marl_clean import keys, symmetry
 from marl_clean.agent.base import Agent, QNetwork
 from marl_clean.comm.base import Comm
-from marl_clean.settings import PositiveFloat, PositiveInt, PositiveShare, Probability
+from marl_clean.settings import PositiveFloat, PositiveInt, PositiveShare, Precision, Probability
 
 SEEN = (keys.OBSERVATION, keys.ADJACENCY, keys.DISTANCE_RANK)
 DONE, TERMINATED = (keys.AGENTS, keys.DONE), (keys.AGENTS, keys.TERMINATED)
@@ -114,7 +114,7 @@ class Iql(Agent):
         eps_init: Probability,
         eps_end: Probability,
         annealing_fraction: Probability,
-        precision: Literal["float32", "bfloat16"],
+        precision: Precision,
         augment: bool,
         device: torch.device | str = "cpu",
     ) -> None:

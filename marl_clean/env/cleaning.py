@@ -150,6 +150,11 @@ class CleaningEnv(EnvBase):
         )
         if self.rules.memory is not Memory.SHARED and contact is None:
             raise BadInput(f"env.memory={memory}: needs contact=, a topology's contact function")
+        if furniture_moves_before_start and knowledge is not Knowledge.STALE:
+            raise BadInput(
+                f"env.furniture_moves_before_start={furniture_moves_before_start}: needs"
+                f" env.knowledge=stale, not {knowledge}; nobody remembers another house"
+            )
         self.n_agents = n_agents
         self.num_envs = num_envs
         self.houses = houses

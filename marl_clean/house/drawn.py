@@ -9,7 +9,8 @@ from scipy import ndimage
 
 from marl_clean.errors import BadInput
 from marl_clean.house.base import House, Plan
-from marl_clean.plan_files import LARGEST_SIDE, find_plan, read_lines
+from marl_clean.plan_files import find_plan, read_lines
+from marl_clean.settings import LARGEST_SIDE
 
 SHIPPED = Path(__file__).parent / "plans"
 WALL, FLOOR, ROBOT, NUMBERED = b"#", b". ", b"S", b"0123456789"

@@ -56,11 +56,11 @@ class Rules:
 
     def __post_init__(self) -> None:
         if not 0 <= self.uncleaned_at_most < CLEANED_VALUE:
-            raise BadInput(f"uncleaned_at_most={self.uncleaned_at_most}: must be in [0, 0.5)")
+            raise BadInput(f"env.uncleaned_at_most={self.uncleaned_at_most}: must be in [0, 0.5)")
         if self.unknown_pays_as not in (UNKNOWN_VALUE, 0.0):
-            raise BadInput(f"unknown_pays_as={self.unknown_pays_as}: must be -0.2 or 0")
+            raise BadInput(f"env.unknown_pays_as={self.unknown_pays_as}: must be -0.2 or 0")
         if self.decay_steps < 1:
-            raise BadInput(f"decay_steps={self.decay_steps}: must be at least 1")
+            raise BadInput(f"env.decay_steps={self.decay_steps}: must be at least 1")
         if self.margin < 1:
             raise BadInput(f"margin={self.margin}: must be at least 1, the ring around the house")
 

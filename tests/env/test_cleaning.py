@@ -178,6 +178,7 @@ def test_render_gives_frames_of_one_size() -> None:
         ({"uncleaned_at_most": 0.5}, "uncleaned_at_most"),
         ({"unknown_pays_as": 0.3}, "unknown_pays_as"),
         ({"n_agents": 99}, "n_agents"),
+        ({"furniture_moves_before_start": 2}, "knowledge=stale"),
     ],
 )
 def test_bad_settings_are_named(changes: dict, word: str) -> None:
