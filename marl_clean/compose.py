@@ -27,6 +27,8 @@ from marl_clean.settings import Evaluation, Root
 
 PACKAGE = Path(__file__).parent
 EXPERIMENT = "experiment"
+BUDGET = "budget"
+PRESETS = (EXPERIMENT, BUDGET)  # groups that set keys of several rooms, and are none themselves
 OUTSIDE_THE_HASH = ("hydra", "name", "device", "logger", "checkpoint", "out")
 
 
@@ -39,8 +41,8 @@ def conf_folder() -> Path:
 
 
 def rooms() -> dict[str, list[str]]:
-    """The rooms of `conf/` and the levels of each; `experiment` is not a room."""
-    return {room: levels for room, levels in _groups().items() if room != EXPERIMENT}
+    """The rooms of `conf/` and the levels of each; presets are not rooms."""
+    return {room: levels for room, levels in groups().items() if room not in PRESETS}
 
 
 def compose_config(overrides: Sequence[str] = ()) -> DictConfig:
@@ -82,14 +84,15 @@ def config_hash(config: DictConfig) -> str:
 
 
 def parse_overrides(overrides: Sequence[str], hydra_too: bool = False) -> list[Override]:
-    """The settings, read one by one; `+experiment=NAME` and `experiment=NAME` are the same.
+    """The settings, read one by one; with and without the `+` a preset is the same.
 
     Raises BadInput on one that is no KEY=VALUE, adds or deletes a key, or names no level.
     """
     parser = OverridesParser.create()
     parsed = []
     for text in overrides:
-        setting = text.removeprefix("+") if text.startswith(f"+{EXPERIMENT}=") else text
+        preset = text.startswith(tuple(f"+{group}=" for group in PRESETS))
+        setting = text.removeprefix("+") if preset else text
         try:
             [override] = parser.parse_overrides([setting])
         except HydraException:
@@ -107,13 +110,13 @@ def parse_overrides(overrides: Sequence[str], hydra_too: bool = False) -> list[O
 
 def apply(config: dict[str, Any], parsed: Sequence[Override]) -> dict[str, Any]:
     """`config` of an earlier run, with the overridden levels and values replaced."""
-    groups = [o for o in parsed if o.key_or_group in _groups()]
-    levels = _container(_composed(groups))
-    base = {**config, **{o.key_or_group: levels[o.key_or_group] for o in groups}}
+    chosen = [o for o in parsed if o.key_or_group in groups()]
+    levels = _container(_composed(chosen))
+    base = {**config, **{o.key_or_group: levels[o.key_or_group] for o in chosen}}
     merged = OmegaConf.create(base)
     for override in parsed:
         key = override.key_or_group
-        if override in groups:
+        if override in chosen:
             continue
         if key not in set(_keys(base)):
             raise BadInput(_unknown(key, base))
@@ -202,16 +205,17 @@ def _composed(parsed: Sequence[Override]) -> DictConfig:
 
 
 def _why_not(parsed: Sequence[Override], error: HydraException) -> str:
-    groups = [o.input_line or "" for o in parsed if o.key_or_group in _groups()]
-    known = _container(compose("config", groups))
-    for key in (o.key_or_group for o in parsed if o.input_line not in groups):
+    chosen = [o.input_line or "" for o in parsed if o.key_or_group in groups()]
+    known = _container(compose("config", chosen))
+    for key in (o.key_or_group for o in parsed if o.input_line not in chosen):
         if key not in set(_keys(known)):
             return _unknown(key, known)
     sections = [o.key_or_group for o in parsed if isinstance(o.value(), dict)]
     return f"{sections[0]}: set a section's keys one by one" if sections else _first_line(error)
 
 
-def _groups() -> dict[str, list[str]]:
+def groups() -> dict[str, list[str]]:
+    """The folders of `conf/`, rooms and presets, and the yaml files of each."""
     return {
         folder.name: sorted(path.stem for path in folder.glob("*.yaml"))
         for folder in sorted(conf_folder().iterdir())
@@ -221,12 +225,12 @@ def _groups() -> dict[str, list[str]]:
 
 def _check_level(override: Override) -> None:
     """Raises BadInput when a room is given something that is not one of its levels."""
-    levels = _groups().get(override.key_or_group)
+    levels = groups().get(override.key_or_group)
     if levels is None or override.is_sweep_override():
         return
     value = override.value()
     wanted = value if isinstance(value, list) and override.key_or_group == "logger" else [value]
-    if override.key_or_group == EXPERIMENT and value is None:
+    if override.key_or_group in PRESETS and value is None:
         return
     for level in wanted:
         if not isinstance(level, str) or level not in levels:

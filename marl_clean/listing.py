@@ -3,7 +3,7 @@
 import ast
 from pathlib import Path
 
-from marl_clean.compose import conf_folder, rooms
+from marl_clean.compose import PRESETS, conf_folder, groups, rooms
 from marl_clean.safe_yaml import load_yaml
 from marl_clean.schema import definition
 
@@ -17,8 +17,9 @@ def lines() -> list[str]:
         claims = (claim(folder / room / f"{level}.yaml") for level in levels)
         lines_ = zip(levels, claims, strict=True)
         result += [room, *(f"  {level:{width}}  {text}" for level, text in lines_)]
-    presets = sorted(path.stem for path in (folder / "experiment").glob("*.yaml"))
-    return [*result, "+experiment=", *(f"  {preset}" for preset in presets)]
+    for preset in PRESETS:
+        result += [f"{preset}=", *(f"  {name}" for name in groups()[preset])]
+    return result
 
 
 def claim(level: Path) -> str:

@@ -11,7 +11,14 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from marl_clean.compose import apply, checked, compose_config, config_hash, parse_overrides
+from marl_clean.compose import (
+    PRESETS,
+    apply,
+    checked,
+    compose_config,
+    config_hash,
+    parse_overrides,
+)
 from marl_clean.errors import BadInput
 from marl_clean.safe_yaml import load_yaml
 
@@ -30,8 +37,8 @@ def compose_for_policy(overrides: Sequence[str]) -> DictConfig:
     given = [override.value() for override in parsed if override.key_or_group == "checkpoint"]
     if not given or given[-1] is None:
         return compose_config(overrides)
-    if any(override.key_or_group == "experiment" for override in parsed):
-        raise BadInput("experiment: a checkpoint brings its own config; leave one of them out")
+    for preset in (o.key_or_group for o in parsed if o.key_or_group in PRESETS):
+        raise BadInput(f"{preset}: a checkpoint brings its own config; leave one of them out")
     stored = load_config(find_run(str(given[-1])))
     wanted = apply(stored, parsed)
     for room in NETWORK:

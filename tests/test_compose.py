@@ -37,7 +37,7 @@ CONFIG = compose_config()
 KEYS = keys_and_types(CONFIG)
 WRONG_TYPE = [f"{key}={wrong_value(annotation)}" for key, annotation in KEYS.items()]
 MISSPELT = {key.rpartition(".")[0]: f"{key}x=1" for key in KEYS}.values()  # one a section
-WRONG_LEVEL = [f"{room}=nowhere" for room in [*compose.rooms(), "experiment"]]
+WRONG_LEVEL = [f"{room}=nowhere" for room in [*compose.rooms(), *compose.PRESETS]]
 OUT_OF_RANGE = [
     "seed=-1",
     "seed=1.5",

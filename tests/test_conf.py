@@ -13,7 +13,8 @@ from marl_clean import compose, schema
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "marl_clean"
 CONF = ROOT / "conf"
-LEVELS = sorted(path for path in CONF.glob("*/*.yaml") if path.parent.name != "experiment")
+PRESETS = sorted(path for group in compose.PRESETS for path in CONF.glob(f"{group}/*.yaml"))
+LEVELS = sorted(set(CONF.glob("*/*.yaml")) - set(PRESETS))
 
 # Rooms that hold nothing but levels; env/ is a workroom that has one.
 ROOMS = sorted({path.parent.name for path in LEVELS} - {"env"})
@@ -84,6 +85,14 @@ def test_every_key_is_explained(path: Path) -> None:
 @pytest.mark.parametrize("path", sorted(CONF.glob("experiment/*.yaml")), ids=name_of)
 def test_a_preset_composes_and_names_its_runs(path: Path) -> None:
     assert compose.compose_config([f"+experiment={path.stem}"]).name.startswith(f"{path.stem}-")
+
+
+@pytest.mark.parametrize("path", sorted(CONF.glob("budget/*.yaml")), ids=name_of)
+def test_a_budget_has_the_last_word_over_a_preset(path: Path) -> None:
+    frames = yaml.safe_load(path.read_text())["trainer"]["total_frames"]
+    config = compose.compose_config(["experiment=quick", f"budget={path.stem}"])
+    assert config.trainer.total_frames == frames
+    assert config.name.startswith("quick-")
 
 
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
