@@ -14,6 +14,9 @@ DISTANCE_RANK = (AGENTS, "distance_rank")  # *B n n int64, 0 itself, 1 the neare
 ACTION = (AGENTS, "action")  # *B n int64: 0 up, 1 right, 2 down, 3 left
 ACTION_VALUE = (AGENTS, "action_value")  # *B n 4 float32
 CHOSEN_ACTION_VALUE = (AGENTS, "chosen_action_value")  # *B n 1 float32
+JOINT_ACTION = "joint_action"  # *B int64, base 4, robot 0 the lowest digit
+JOINT_ACTION_VALUE = "joint_action_value"  # *B 4^n float32
+CHOSEN_JOINT_ACTION_VALUE = "chosen_joint_action_value"  # *B 1 float32
 MESSAGE = (AGENTS, "message")  # *B n M float32: what each robot sent
 MESSAGE_BITS = (AGENTS, "message_bits")  # *B n 1 float32: what sending it cost
 

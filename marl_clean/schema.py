@@ -79,6 +79,27 @@ def problems_of_level(section: Mapping[str, Any], key: str, room: str) -> Iterat
     yield from problems_of_mapping(given, types_, f"{key}.", required)
 
 
+def problems_of_fit(sections: Mapping[str, Any]) -> Iterator[Problem]:
+    """Every level that another one does not go with: see `fits` in a class's body.
+
+    `sections` are the rooms that hold one level each, by name.
+    """
+    targets = {room: str(section["_target_"]) for room, section in sections.items()}
+    levels = {room: target.split(".")[2] for room, target in targets.items()}
+    for room, target in targets.items():
+        for other, valid in fits(target).items():
+            if other in levels and levels[other] not in valid:
+                yield Problem(
+                    f"{other}={levels[other]}",
+                    f"does not fit {room}={levels[room]}; valid: {', '.join(valid)}",
+                )
+
+
+def fits(target: str) -> dict[str, list[str]]:
+    """The levels of other rooms that `target` goes with: its class's `fits`; {}: with all."""
+    return _fits_of(*_locate(target))
+
+
 def problems_of_mapping(
     given: Mapping[str, Any], accepted: Mapping[str, Any], prefix: str, required: Iterable[str]
 ) -> Iterator[Problem]:
@@ -228,6 +249,17 @@ def _of_definition(source: Path, node: ast.ClassDef) -> dict[str, Parameter]:
     for base in map(ast.unparse, node.bases):
         if (inherited := _import_of(source, base)) is not None:
             return _of_class(*inherited)
+    return {}
+
+
+def _fits_of(source: Path, name: str) -> dict[str, list[str]]:
+    node = _class_in(source, name)
+    for item in node.body:
+        if isinstance(item, ast.AnnAssign) and ast.unparse(item.target) == "fits" and item.value:
+            return ast.literal_eval(item.value)
+    for base in map(ast.unparse, node.bases):
+        if (inherited := _import_of(source, base)) is not None:
+            return _fits_of(*inherited)
     return {}
 
 

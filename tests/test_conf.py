@@ -28,7 +28,7 @@ FLOORS = [
     {"house", "floorplan_readers"},
     {"env"},
     {"transform", "observation", "topology", "reward", "encoder", "comm", "channel"},
-    {"agent", "planner"},
+    {"networks", "agent", "planner"},
     {"trainer", "evaluation", "report", "logger", "checkpoint", "build", "compose", "stored"},
 ]
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}

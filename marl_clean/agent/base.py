@@ -1,60 +1,24 @@
-"""What every learner offers, and the network from what robots see to action values."""
+"""What every learner offers, and what those by deep Q-learning share."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal
 
 import torch
-from jaxtyping import Bool, Float, Int
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.data import Composite
+from torchrl.modules import EGreedyModule
+from torchrl.objectives import DQNLoss, HardUpdate, SoftUpdate
+from torchrl.objectives.utils import TargetNetUpdater
 
+from marl_clean import keys, symmetry
 from marl_clean.comm.base import Comm
-from marl_clean.settings import Precision
+from marl_clean.settings import PositiveFloat, PositiveInt, PositiveShare, Precision, Probability
 
-NUM_ACTIONS = 4
-"""Up, right, down, left (paper §3.2); there is no way to stay."""
-
-
-class QNetwork(nn.Module):
-    """Values of the four actions of every robot: encoder, communication, head (paper figure 4).
-
-        plain:   Q(o, a) = head(h')_a
-        dueling: Q(o, a) = V(h') + A(h')_a - mean over a' of A(h')_a'      (arXiv 1511.06581)
-
-    All robots share the weights, so any number of robots fits. `precision` is that of the
-    encoder's arithmetic, where the time goes; messages and values stay float32.
-    """
-
-    def __init__(self, encoder: nn.Module, comm: Comm, dueling: bool, precision: Precision) -> None:
-        super().__init__()
-        self.encoder = encoder
-        self.comm = comm
-        self.dueling = dueling
-        self.reduced = precision == "bfloat16"
-        self.head = nn.Linear(comm.out_features, NUM_ACTIONS + dueling)
-
-    def forward(
-        self,
-        observation: Float[Tensor, "*batch agent channel row col"],
-        adjacency: Bool[Tensor, "*batch agent agent"],
-        distance_rank: Int[Tensor, "*batch agent agent"],
-    ) -> tuple[
-        Float[Tensor, "*batch agent action"],
-        Float[Tensor, "*batch agent message"],
-        Float[Tensor, "*batch agent 1"],
-    ]:
-        """Return action values, the messages sent, and what sending them cost in bits."""
-        with torch.autocast(observation.device.type, torch.bfloat16, enabled=self.reduced):
-            feature = self.encoder(observation)
-        feature, message, bits = self.comm(feature.float(), adjacency, distance_rank)
-        value = self.head(feature)
-        if self.dueling:
-            advantage = value[..., 1:]
-            value = value[..., :1] + advantage - advantage.mean(-1, keepdim=True)
-        return value, message, bits
+Count = int
+"""Of robots; handed over by whoever builds the learner, so never a config key."""
 
 
 class Agent(ABC):
@@ -62,17 +26,20 @@ class Agent(ABC):
 
     Attributes:
         network: the module whose weights are kept, shared by both policies.
-        learns_from: keys of a frame that learning needs; under "next", of the frame after.
         gamma: discount of a step.
         n_steps: rewards summed before bootstrapping.
         epsilon: share of random actions now.
     """
 
     network: nn.Module
-    learns_from: Sequence[NestedKey]
     gamma: float
     n_steps: int
     epsilon: float
+
+    @property
+    @abstractmethod
+    def learns_from(self) -> Sequence[NestedKey]:
+        """Keys of a frame that learning needs; under "next", of the frame after."""
 
     @abstractmethod
     def policy(self) -> TensorDictModuleBase:
@@ -97,3 +64,187 @@ class Agent(ABC):
     @abstractmethod
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from a state of `state_dict`, exactly."""
+
+
+class SoftUpdateAtOnce(SoftUpdate):
+    """TorchRL's soft update, with one call for all weights: a tenth of its time."""
+
+    def init_(self) -> None:
+        super().init_()
+        self._weights = [weight.data for weight in self._sources.values(True, True)]
+        self._followers = [weight.data for weight in self._targets.values(True, True)]
+
+    def step(self) -> None:
+        torch._foreach_lerp_(self._followers, self._weights, 1 - self.eps)
+
+
+class DeepQ(Agent):
+    """Learn action values from replayed frames by deep Q-learning (arXiv 1312.5602, paper §2).
+
+        y = r + gamma^k (1 - terminated) Q'(o', argmax_a Q(o', a))
+        loss = Huber(Q(o, a) - y), mean over the batch
+
+    with Q' the target network, k the steps to the next observation (`n_steps`, fewer at an
+    episode's end), and the argmax taken by Q if `double` (arXiv 1509.06461), else by Q'.
+    Dropout, where the encoder has it, is active in all of Q and Q' while learning. Truncated
+    episodes are bootstrapped.
+
+    Args:
+        encoder, comm: the network's parts; their weights are learnt in place.
+        double, dueling: see above and `marl_clean.networks`.
+        n_steps: rewards summed before bootstrapping.
+        gamma: discount of a step.
+        lr, lr_end: Adam's step size, falling linearly over the run; late steps smaller, so that
+            the greedy policy swings less from one evaluation to the next.
+        loss: `smooth_l1` (Huber), `l2` or `l1`.
+        max_grad_norm: gradients are scaled down to this norm.
+        target_update: `soft` moves Q' by `tau` every update, `hard` copies Q every
+            `target_period` updates.
+        eps_init, eps_end, annealing_fraction: the share of random actions falls linearly from
+            the one to the other over this fraction of the frames, and stays.
+        precision: the encoder's arithmetic; bfloat16 is faster.
+        augment: learn from each frame turned or mirrored, the same way for all its robots.
+        n_agents: robots in a world.
+        device: where the network lives.
+    """
+
+    sees: ClassVar[tuple[NestedKey, ...]]  # what the network takes
+    loss_keys: ClassVar[Mapping[str, NestedKey]]  # where DQNLoss finds its entries
+
+    def __init__(
+        self,
+        encoder: nn.Module,
+        comm: Comm,
+        double: bool,
+        dueling: bool,
+        n_steps: PositiveInt,
+        gamma: Probability,
+        lr: PositiveFloat,
+        lr_end: PositiveFloat,
+        loss: Literal["smooth_l1", "l2", "l1"],
+        max_grad_norm: PositiveFloat,
+        target_update: Literal["soft", "hard"],
+        tau: PositiveShare,
+        target_period: PositiveInt,
+        eps_init: Probability,
+        eps_end: Probability,
+        annealing_fraction: Probability,
+        precision: Precision,
+        augment: bool,
+        n_agents: Count = 2,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.gamma, self.n_steps = gamma, n_steps
+        self.eps_init, self.eps_end, self.annealing_fraction = eps_init, eps_end, annealing_fraction
+        self.lr, self.lr_end = lr, lr_end
+        self.max_grad_norm = max_grad_norm
+        self.augment = augment
+        self.n_agents = n_agents
+        network = self.make_network(encoder, comm, n_agents, dueling, precision)
+        self.network = network.to(device).eval()
+        self._greedy = self.make_greedy(tells=False).eval()
+        self._loss = DQNLoss(
+            self._greedy, loss_function=loss, double_dqn=double, action_space="categorical"
+        )
+        self._loss.set_keys(**self.loss_keys)
+        self._loss.make_value_estimator(gamma=gamma)
+        self._target: TargetNetUpdater
+        if target_update == "soft":
+            self._target = SoftUpdateAtOnce(self._loss, tau=tau)
+        else:  # HardUpdate copies in the update after its interval is full
+            self._target = HardUpdate(self._loss, value_network_update_interval=target_period - 1)
+        self._dropouts = [m for m in self.network.modules() if isinstance(m, nn.Dropout)]
+        self._parameters = list(self.network.parameters())
+        self._optimiser = torch.optim.Adam(self._parameters, lr=lr, fused=True)
+        self._coin: EGreedyModule | None = None
+        self.anneal(0.0)
+
+    @property
+    def learns_from(self) -> Sequence[NestedKey]:
+        later = (*self.sees, keys.REWARD, keys.DONE, keys.TERMINATED)
+        return (*self.sees, keys.ACTION, *(("next", key) for key in later))
+
+    @abstractmethod
+    def make_network(
+        self, encoder: nn.Module, comm: Comm, n_agents: int, dueling: bool, precision: Precision
+    ) -> nn.Module:
+        """Return the network from `sees` to action values."""
+
+    @abstractmethod
+    def make_greedy(self, tells: bool) -> TensorDictModuleBase:
+        """Return the policy of the best actions; `tells`: of messages too, where there are any."""
+
+    @abstractmethod
+    def for_loss(self, frames: TensorDictBase) -> None:
+        """Add what the loss wants in its own shape: endings, steps, and what the learner needs."""
+
+    def policy(self) -> TensorDictModuleBase:
+        return self.make_greedy(tells=True).eval()
+
+    def coin(self, action_spec: Composite, action_key: NestedKey) -> EGreedyModule:
+        """Return TorchRL's epsilon-greedy module, whose epsilon `anneal` sets.
+
+        It explores only under TorchRL's `ExplorationType.RANDOM`, as a Collector sets it.
+        """
+        device = next(self.network.parameters()).device
+        self._coin = EGreedyModule(action_spec, action_key=action_key, device=device)
+        self._coin.eps.fill_(self.epsilon)
+        return self._coin
+
+    def anneal(self, progress: float) -> None:
+        """Set epsilon (paper §3.4) and step size for a run of which `progress`, 0 to 1, is done."""
+        for group in self._optimiser.param_groups:
+            group["lr"] = self.lr + min(1.0, progress) * (self.lr_end - self.lr)
+        annealed = min(1.0, progress / self.annealing_fraction) if self.annealing_fraction else 1.0
+        self.epsilon = self.eps_init + annealed * (self.eps_end - self.eps_init)
+        if self._coin is not None:  # its own step() loops over frames in Python
+            self._coin.eps.fill_(self.epsilon)
+
+    def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        """Take one step of Adam on a batch of frames, then let the target network follow."""
+        self._set_dropout(True)
+        loss = self._loss(self._frames_to_learn(batch))["loss"]
+        self._optimiser.zero_grad()
+        loss.backward()
+        grad_norm = nn.utils.clip_grad_norm_(self._parameters, self.max_grad_norm)
+        self._optimiser.step()
+        self._target.step()
+        self._set_dropout(False)
+        return {"loss": loss.detach(), "grad_norm": grad_norm}
+
+    def _set_dropout(self, active: bool) -> None:
+        for module in self._dropouts:
+            module.train(active)
+
+    def _frames_to_learn(self, batch: TensorDictBase) -> TensorDictBase:
+        """Return the batch as the loss wants it; turned and mirrored if augmented."""
+        frames = batch.select(*self.learns_from, keys.STEPS_TO_NEXT_OBS)
+        if self.augment:
+            now, then = frames[keys.OBSERVATION], frames["next", keys.OBSERVATION]
+            (now, then), action = symmetry.turn_in_eighths([now, then], frames[keys.ACTION])
+            frames[keys.OBSERVATION], frames["next", keys.OBSERVATION] = now, then
+            frames[keys.ACTION] = action
+        self.for_loss(frames)
+        return frames
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return weights, target weights, Adam's moments and the target's counter."""
+        return {
+            "network": self.network.state_dict(),
+            "target": self._target_weights(),
+            "optimiser": self._optimiser.state_dict(),
+            "target_update": self._target.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from a state of `state_dict`, exactly."""
+        self.network.load_state_dict(state["network"])
+        for name, weight in self._target_weights().items():
+            weight.copy_(state["target"][name])
+        self._optimiser.load_state_dict(state["optimiser"])
+        self._target.load_state_dict(state["target_update"])
+
+    def _target_weights(self) -> dict[str, Tensor]:
+        """Return the target network's weights by the names that the network gives its own."""
+        parameters = self._loss.target_value_network_params["network"].flatten_keys(".")
+        return {name: weight.data for name, weight in parameters.items()}

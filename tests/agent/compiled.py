@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from omegaconf import OmegaConf
 
-from marl_clean.agent.base import QNetwork
+from marl_clean.networks import QNetwork
 from marl_clean.schema import instantiate
 
 CONF = Path(__file__).parents[2] / "conf"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from marl_clean.agent.base import QNetwork
+from marl_clean.networks import QNetwork
 from tests.agent.parts import frames, make_comm, make_encoder
 
 

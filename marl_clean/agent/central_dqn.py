@@ -1,0 +1,101 @@
+"""The central controller: one network acts for all robots, the paper's approach 1 (§3.4)."""
+
+from typing import ClassVar
+
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
+from torch import nn
+from torchrl.data import Categorical, Composite
+
+from marl_clean import keys
+from marl_clean.agent.base import DeepQ
+from marl_clean.comm.base import Comm
+from marl_clean.errors import BadInput
+from marl_clean.networks import NUM_ACTIONS, JointQNetwork, decode_joint, encode_joint
+from marl_clean.settings import Precision
+
+MOST_ROBOTS = 5
+
+
+class GreedyJoint(TensorDictModuleBase):
+    """The best of all joint actions, and every robot's part in it."""
+
+    def __init__(self, network: JointQNetwork, n_agents: int) -> None:
+        super().__init__()
+        self.network, self.n_agents = network, n_agents
+        self.in_keys = [keys.OBSERVATION]
+        self.out_keys = [
+            keys.JOINT_ACTION,
+            keys.JOINT_ACTION_VALUE,
+            keys.CHOSEN_JOINT_ACTION_VALUE,
+            keys.ACTION,
+        ]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        value = self.network(tensordict.get(keys.OBSERVATION))
+        chosen, joint = value.max(-1, keepdim=True)
+        joint = joint.squeeze(-1)
+        tensordict.set(keys.JOINT_ACTION_VALUE, value)
+        tensordict.set(keys.CHOSEN_JOINT_ACTION_VALUE, chosen)
+        tensordict.set(keys.JOINT_ACTION, joint)
+        tensordict.set(keys.ACTION, decode_joint(joint, self.n_agents))
+        return tensordict
+
+
+class CentralDqn(DeepQ):
+    """One network sees all robots' states and chooses their joint action (paper §3.4, approach 1).
+
+        y = (r_1 + ... + r_n) + gamma^k (1 - terminated) max over a in A_1 x ... x A_n of Q'(o', a)
+
+    The reward is the sum of the robots' own, so `reward=team`; the actions are the 4^n joint ones,
+    numbered in base 4 with robot 0 the lowest digit, of which one at random is taken with
+    probability epsilon. There is nobody to talk to, so `comm=none`. All else as in `DeepQ`.
+
+    Raises:
+        BadInput: more than 5 robots; 4^6 = 4,096 outputs learn nothing in a sensible time.
+    """
+
+    fits: ClassVar = {"comm": ["none"], "reward": ["team"]}
+
+    network: JointQNetwork
+    sees = (keys.OBSERVATION,)
+    loss_keys: ClassVar = {
+        "action": keys.JOINT_ACTION,
+        "action_value": keys.JOINT_ACTION_VALUE,
+        "value": keys.CHOSEN_JOINT_ACTION_VALUE,
+        "reward": "reward",
+        "done": keys.DONE,
+        "terminated": keys.TERMINATED,
+    }
+
+    def make_network(
+        self, encoder: nn.Module, comm: Comm, n_agents: int, dueling: bool, precision: Precision
+    ) -> JointQNetwork:
+        if n_agents > MOST_ROBOTS:
+            raise BadInput(
+                f"env.n_agents={n_agents}: agent=central_dqn has 4^n outputs and takes at most"
+                f" {MOST_ROBOTS} robots; use agent=iql for more"
+            )
+        return JointQNetwork(encoder, comm.out_features, n_agents, dueling, precision)
+
+    def make_greedy(self, tells: bool) -> GreedyJoint:
+        return GreedyJoint(self.network, self.n_agents)
+
+    def exploration(self, action_spec: Composite) -> TensorDictSequential:
+        """Return the epsilon-greedy policy: a random action is a random joint action."""
+        joint = Categorical(NUM_ACTIONS**self.n_agents, shape=action_spec.shape)
+        spec = Composite({keys.JOINT_ACTION: joint}, shape=action_spec.shape)
+        coin = self.coin(spec.to(action_spec.device), keys.JOINT_ACTION)
+        decode = TensorDictModule(
+            lambda chosen: decode_joint(chosen, self.n_agents),
+            in_keys=[keys.JOINT_ACTION],
+            out_keys=[keys.ACTION],
+        )
+        return TensorDictSequential(self._greedy, coin, decode)
+
+    def for_loss(self, frames: TensorDictBase) -> None:
+        """Number the joint actions; of the team's reward, the same for all, one is enough."""
+        frames[keys.JOINT_ACTION] = encode_joint(frames[keys.ACTION])
+        frames["next", "reward"] = frames["next", keys.REWARD][..., 0, :]
+        steps = frames[keys.STEPS_TO_NEXT_OBS]
+        frames[keys.STEPS_TO_NEXT_OBS] = steps.unsqueeze(-1)
