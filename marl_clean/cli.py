@@ -72,11 +72,16 @@ def watch(arguments: argparse.Namespace) -> int:
 
 
 def figure(arguments: argparse.Namespace) -> int:
-    """draw a figure, such as paper_1, into runs/figures"""
+    """draw a figure, such as paper_1, into runs/figures; comparisons train what they need"""
+    from marl_clean import comparison
+    from marl_clean.comparison import COMPARISONS
     from marl_clean.stored import compose_for_policy
 
     if "=" in arguments.name:
         raise BadInput(f"figure: {arguments.name!r} is a setting; name a figure before it")
+    if arguments.name in COMPARISONS:
+        comparison.main(arguments.name, arguments.settings)
+        return 0
     config = _checked(compose_for_policy(arguments.settings))
     from marl_clean import figure as command
 

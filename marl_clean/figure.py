@@ -5,17 +5,24 @@ from pathlib import Path
 from omegaconf import DictConfig
 from rich.console import Console
 
+from marl_clean.comparison import COMPARISONS
 from marl_clean.errors import BadInput
 from marl_clean.schema import choices
 from marl_clean.stored import RUNS
 
-NAMES = ("houses", "paper_1", "paper_2")  # known without importing what draws them
+NAMES = (
+    "houses",
+    "paper_1",
+    "paper_2",
+    "paper_3",
+    "paper_4",
+)  # known without importing what draws them
 
 
 def main(name: str, cfg: DictConfig, console: Console | None = None) -> list[Path]:
     """Draw figure `name` of `cfg`'s world. Raises BadInput when there is no such figure."""
     if name not in NAMES:
-        raise BadInput(f"figure {name!r}: no such figure; {choices(name, NAMES)}")
+        raise BadInput(f"figure {name!r}: no such figure; {choices(name, (*NAMES, *COMPARISONS))}")
     from marl_clean.report.axes import save_figure
     from marl_clean.report.figures import draw_figure
 

@@ -79,9 +79,7 @@ class JointQNetwork(nn.Module):
         self.join = nn.Sequential(nn.Linear(n_agents * width, hidden), nn.ReLU())
         self.head = nn.Linear(hidden, NUM_ACTIONS**n_agents + dueling)
 
-    def forward(
-        self, observation: Float[Tensor, "..."]
-    ) -> Float[Tensor, "*batch joint_action"]:
+    def forward(self, observation: Float[Tensor, "..."]) -> Float[Tensor, "*batch joint_action"]:
         with torch.autocast(observation.device.type, torch.bfloat16, enabled=self.reduced):
             feature = self.encoder(observation)
         value = self.head(self.join(feature.float().flatten(-2)))

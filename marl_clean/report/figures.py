@@ -5,10 +5,12 @@ from itertools import islice
 
 import matplotlib
 import numpy as np
+import torch
 from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from omegaconf import DictConfig
+from tensordict import TensorDictBase
 
 from marl_clean import build
 from marl_clean.env.scene import scene_of
@@ -16,6 +18,8 @@ from marl_clean.house.base import Houses
 from marl_clean.keys import OBSERVATION
 from marl_clean.report.axes import STYLE, draw_cells, draw_robots, new_figure, unit
 from marl_clean.report.episode import first_held_out, frames, policy_of
+from marl_clean.report.network import Layer, draw_single, draw_together, watch_layers
+from marl_clean.stored import find_run
 from marl_clean.viewer import (
     BLOCKED,
     DIRTY,
@@ -80,10 +84,34 @@ def paper_2(cfg: DictConfig) -> Figure:
     return figure
 
 
+def paper_3(cfg: DictConfig) -> Figure:
+    """One robot's network, from what it sees to four Q-values (paper figure 3)."""
+    return draw_single(*_watched(cfg))
+
+
+def paper_4(cfg: DictConfig) -> Figure:
+    """Robot 1's network with what the other robots send it (paper figure 4)."""
+    return draw_together(*_watched(cfg))
+
+
+def _watched(cfg: DictConfig) -> tuple[list[Layer], TensorDictBase]:
+    """The layers of a run's network, or of an untrained one, at the moment of figure 2."""
+    env = first_held_out(cfg)
+    if cfg.checkpoint is not None:
+        policy = build.load_policy(find_run(cfg.checkpoint)).to(cfg.device)
+    else:
+        torch.manual_seed(cfg.seed)
+        policy = build.make_agent(cfg, env).policy()
+    *_, moment = islice(frames(env, policy_of(cfg)), MEMORY_STEPS + 1)
+    return watch_layers(policy, moment)
+
+
 FIGURES: dict[str, Callable[[DictConfig], Figure]] = {
     "houses": houses,
     "paper_1": paper_1,
     "paper_2": paper_2,
+    "paper_3": paper_3,
+    "paper_4": paper_4,
 }
 
 

@@ -84,7 +84,7 @@ def test_every_figure_is_written_as_svg_and_png(cfg, tmp_path, monkeypatch):
 
 
 def test_a_misspelt_figure_is_bad_input_that_lists_them(cfg):
-    with pytest.raises(BadInput, match="did you mean paper_1.*houses, paper_1, paper_2"):
+    with pytest.raises(BadInput, match="did you mean paper_1.*houses, memory, paper_1, paper_2"):
         figure.main("paper1", cfg)
 
 
