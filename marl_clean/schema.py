@@ -62,6 +62,22 @@ def definition(target: str) -> ast.ClassDef:
     return _class_in(*_locate(target))
 
 
+def constant(target: str, name: str) -> Any:
+    """What the body of the class `target`, or the nearest base that has it, sets `name` to.
+
+    Raises BadInput when none does.
+    """
+    place: tuple[Path, str] | None = _locate(target)
+    while place is not None:
+        source, node = place[0], _class_in(*place)
+        for item in node.body:
+            if isinstance(item, ast.Assign) and [ast.unparse(t) for t in item.targets] == [name]:
+                return _evaluate(item.value)
+        inherited = (_import_of(source, ast.unparse(base)) for base in node.bases)
+        place = next(filter(None, inherited), None)
+    raise BadInput(f"{target}: does not say what it {name}")
+
+
 def problems_of_level(section: Mapping[str, Any], key: str, room: str) -> Iterator[Problem]:
     """Everything wrong with one level's section, such as `comm` or `logger.csv`."""
     target = section.get("_target_")

@@ -4,7 +4,7 @@ No torch here: the commands check a config against these types before torch is i
 """
 
 import re
-from enum import StrEnum
+from enum import Enum, StrEnum
 from typing import Annotated, Literal, TypedDict
 
 from pydantic import AfterValidator, Field
@@ -60,6 +60,13 @@ class Assignment(StrEnum):
     NONE = "none"
     GREEDY = "greedy"
     HUNGARIAN = "hungarian"
+
+
+class Form(Enum):
+    """The form of what a robot sees; an observation says which it gives, an encoder its own."""
+
+    SQUARES = "squares"
+    VECTOR = "a vector"
 
 
 class HouseOrder(StrEnum):

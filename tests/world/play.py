@@ -79,6 +79,7 @@ def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
         unknown_pays_as=float(settings.unknown_value),
         cases=settings.cases,
         obstacles=settings.obstacles,
+        bump_noise=settings.bump_noise,
         furniture_moves_per_episode=1,
         margin=max(side // 2, settings.view_size // 2),
         house_order=HouseOrder.FIXED,

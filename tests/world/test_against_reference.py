@@ -49,7 +49,7 @@ def assert_same_outcome(tensordict, state, index: int, world: World, outcome) ->
 
 def assert_same_play(drawn: list[Case], whole_map: bool) -> None:
     env = env_of(drawn, whole_map)
-    worlds = [case.world() for case in drawn]
+    worlds = [case.world(index) for index, case in enumerate(drawn)]
     side = env.transform[1].view_size
     tensordict = start(env, drawn)
     for index, world in enumerate(worlds):
