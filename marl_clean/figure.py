@@ -5,6 +5,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 from rich.console import Console
 
+from marl_clean.checks import check_square_view
 from marl_clean.errors import BadInput
 from marl_clean.schema import choices
 from marl_clean.stored import RUNS
@@ -13,9 +14,14 @@ NAMES = ("houses", "paper_1", "paper_2")  # known without importing what draws t
 
 
 def main(name: str, cfg: DictConfig, console: Console | None = None) -> list[Path]:
-    """Draw figure `name` of `cfg`'s world. Raises BadInput when there is no such figure."""
+    """Draw figure `name` of `cfg`'s world.
+
+    Raises BadInput when there is no such figure, or robots do not see what it shows.
+    """
     if name not in NAMES:
         raise BadInput(f"figure {name!r}: no such figure; {choices(name, NAMES)}")
+    if name == "paper_2":
+        check_square_view(cfg, "figure paper_2")
     from marl_clean.report.axes import save_figure
     from marl_clean.report.figures import draw_figure
 

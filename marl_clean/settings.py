@@ -107,9 +107,12 @@ OddInt = Annotated[int, Field(ge=1), AfterValidator(_odd)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
+Scales = Annotated[int, Field(ge=2, le=4)]
+RangeCells = Annotated[int, Field(ge=1, le=1024)]
 LARGEST_SIDE = 4096  # rows or columns of a house in cells, or of its image in pixels
+HouseSide = Annotated[int, Field(ge=1, le=LARGEST_SIDE)]
 Range = Annotated[
-    list[Annotated[int, Field(ge=1, le=LARGEST_SIDE)]],
+    list[HouseSide],
     Field(min_length=2, max_length=2),
     AfterValidator(_ascending),
 ]

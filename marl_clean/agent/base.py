@@ -38,7 +38,7 @@ class QNetwork(nn.Module):
 
     def forward(
         self,
-        observation: Float[Tensor, "*batch agent channel row col"],
+        observation: Float[Tensor, "..."],
         adjacency: Bool[Tensor, "*batch agent agent"],
         distance_rank: Int[Tensor, "*batch agent agent"],
     ) -> tuple[

@@ -1,0 +1,39 @@
+"""Which levels fit each other: asked of their classes, before torch is imported."""
+
+from omegaconf import DictConfig
+
+from marl_clean.compose import conf_folder, rooms
+from marl_clean.errors import BadInput
+from marl_clean.safe_yaml import load_yaml
+from marl_clean.schema import constant
+from marl_clean.settings import Form
+
+
+def check_fit(config: DictConfig) -> None:
+    """Raises BadInput when the encoder does not take what the observation gives.
+
+    And when a learner would turn what is no square.
+    """
+    observation, encoder = config.observation._target_, config.encoder._target_
+    gives, takes = constant(observation, "gives"), constant(encoder, "takes")
+    if gives is not takes:
+        raise BadInput(
+            f"encoder={_level(encoder)}: takes {takes.value}, observation={_level(observation)}"
+            f" gives {gives.value}; valid: {', '.join(encoders_of(gives))}"
+        )
+    if gives is not Form.SQUARES and config.agent.get("augment", False):
+        raise BadInput(
+            f"agent.augment=true: turns squares, observation={_level(observation)} gives"
+            f" {gives.value}; valid: false"
+        )
+
+
+def encoders_of(form: Form) -> list[str]:
+    """The encoders that take a form of observation."""
+    folder = conf_folder() / "encoder"
+    sections = ((level, load_yaml(folder / f"{level}.yaml")) for level in rooms()["encoder"])
+    return [level for level, section in sections if constant(section["_target_"], "takes") is form]
+
+
+def _level(target: str) -> str:
+    return target.split(".")[2]
