@@ -37,9 +37,9 @@ def wide_crop(
     reach = torch.arange(side, device=record.device) - side // 2 + rules.margin
     row = (position[..., 0, None] + reach).clamp(0, height - 1)
     col = (position[..., 1, None] + reach).clamp(0, width - 1)
-    env = torch.arange(num_envs, device=record.device)[:, None, None, None]
-    agent = torch.arange(position.shape[1], device=record.device)[:, None, None]
-    view = record[env, agent if num_maps > 1 else 0, row[..., :, None], col[..., None, :]]
+    cell = row[..., :, None] * width + col[..., None, :]
+    maps = record.flatten(2)  # one for all, or one each
+    view = maps.gather(2, cell.view(num_envs, num_maps, -1)).view(cell.shape)
     now = (step + 1).to(record.dtype).view(-1, 1, 1, 1)
     return map_value(view, now, rules)
 
@@ -65,11 +65,19 @@ def coarser(
         cells = 2**scale
         first = (side - view_size * cells) // 2
         middle = slice(first, side - first)
-        halved = torch.nn.functional.avg_pool2d(planes[..., middle, middle], 2, stride=1)
-        found.append(torch.nn.functional.avg_pool2d(halved, cells))
+        part = _parts(view_size, cells, code.device)
+        found.append(part @ planes[..., middle, middle] @ part.mT)
         seen = torch.nn.functional.max_pool2d(robot[..., middle, middle], cells + 1, stride=cells)
         found.append(seen)
     return torch.cat(found, 1).unflatten(0, (num_envs, n_agents))
+
+
+def _parts(entries: int, cells: int, device: torch.device) -> Float[Tensor, "entry cell"]:
+    """Return what part of each entry a cell of its row is: half as much on a border."""
+    entry = torch.arange(entries, device=device)[:, None]
+    cell = torch.arange(entries * cells + 1, device=device)
+    inside = torch.minimum(cell - entry * cells, (entry + 1) * cells - cell)
+    return (inside + 0.5).clamp(0, 1) / cells
 
 
 def whole_map(
