@@ -12,6 +12,7 @@ from marl_clean.agent.base import Agent
 from marl_clean.checkpoint import fit_weights, load_weights
 from marl_clean.compose import checked
 from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.fitting import check_fit
 from marl_clean.house.base import Houses, draw_bank, draw_houses, split_seeds
 from marl_clean.planner.base import Planner
 from marl_clean.schema import instantiate
@@ -56,7 +57,7 @@ def make_env(
     env = instantiate(
         cfg.env,
         houses=training_houses(cfg) if houses is None else houses,
-        margin=max(1, observation.view_size // 2),
+        margin=max(1, observation.reach_cells),
         house_order=house_order,
         contact=topology.contact,
         first_env=first_env,
@@ -81,7 +82,11 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     """Build encoder, communication and learner for what robots see in `env`.
 
     Weights are drawn from torch's global generator: seed it first.
+
+    Raises:
+        BadInput: the encoder does not take what robots see.
     """
+    check_fit(cfg)
     seen = env.observation_spec[keys.OBSERVATION].shape[2:]
     encoder = instantiate(cfg.encoder, observation_shape=seen)
     comm = instantiate(cfg.comm, in_features=encoder.out_features)

@@ -5,7 +5,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from marl_clean.errors import BadInput
-from marl_clean.house.base import draw_houses, split_seeds
+from marl_clean.house.base import check_largest, draw_houses, split_seeds
 from marl_clean.house.floorplan import FloorPlan
 from marl_clean.schema import instantiate
 
@@ -14,19 +14,36 @@ def check_house(config: DictConfig) -> None:
     """Draw one house as training and evaluation will.
 
     Raises BadInput for a plan that cannot be read, has no free cell or fewer than robots, and
-    for sizes that allow no house.
+    for sizes that allow no house, or larger ones than the observation has room for.
     """
     house = instantiate(config.house)
-    draw_houses(house, split_seeds("test", 1), config.env.n_agents)
+    houses = draw_houses(house, split_seeds("test", 1), config.env.n_agents)
+    sides = [config.house.get(key, [0])[-1] for key in ("rows", "cols")]  # others may be larger
+    _check_sees(config, *map(max, zip(sides, houses.free.shape[1:], strict=True)))
 
 
 def check_plans(config: DictConfig) -> None:
-    """Raises BadInput for a plan of `evaluation.plans` that cannot be read or holds no robots."""
+    """Raises BadInput for a plan of `evaluation.plans` that cannot be read, holds no robots, or
+    is larger than the observation has room for."""
     for path in config.evaluation.plans:
         try:
-            draw_houses(FloorPlan(path), [], config.env.n_agents)
+            houses = draw_houses(FloorPlan(path), [], config.env.n_agents)
+            _check_sees(config, *houses.free.shape[1:])
         except BadInput as error:
             raise BadInput(f"evaluation.plans: {error}") from None
+
+
+def _check_sees(config: DictConfig, rows: int, cols: int) -> None:
+    largest = config.observation.get("largest_side")
+    if largest is not None:
+        check_largest(largest, rows, cols)
+
+
+def check_square_view(config: DictConfig, what: str) -> None:
+    """Raises BadInput when robots do not see a square around themselves, which `what` shows."""
+    if "view_size" not in config.observation:
+        level = config.observation._target_.split(".")[2]
+        raise BadInput(f"observation={level}: {what} needs a square around the robot, as of crop")
 
 
 def check_out(path: Path) -> None:

@@ -31,9 +31,11 @@ def train(arguments: argparse.Namespace) -> int:
         return 0
     from marl_clean.checks import check_plans
     from marl_clean.compose import compose_config
+    from marl_clean.fitting import check_fit
     from marl_clean.stored import RUNS, check_same_run
 
     config = _checked(compose_config(arguments.settings))
+    check_fit(config)
     check_plans(config)
     check_same_run(config, RUNS / config.name)
     from marl_clean import train as command
@@ -99,9 +101,11 @@ def compare(arguments: argparse.Namespace) -> int:
 
 def benchmark(arguments: argparse.Namespace) -> int:
     """measure speed, into runs/benchmark.json"""
+    from marl_clean.checks import check_square_view
     from marl_clean.compose import compose_config
 
     config = _checked(compose_config(arguments.settings))
+    check_square_view(config, "benchmark")
     from marl_clean import benchmark as command
 
     command.main(config)

@@ -14,6 +14,7 @@ from rich.console import Console
 from marl_clean.checks import check_device, check_house, check_plans
 from marl_clean.compose import BUDGET, EXPERIMENT, compose_config, parse_overrides, sweep_jobs
 from marl_clean.errors import BadInput
+from marl_clean.fitting import check_fit
 from marl_clean.stored import RUNS, check_same_run
 
 
@@ -100,6 +101,7 @@ def jobs_of(name: str, settings: Sequence[str]) -> dict[str, list[DictConfig]]:
         jobs[label] = [compose_config(job) for job in combined]
         for config in jobs[label]:
             check_house(config)
+            check_fit(config)
             check_device(config.device)
             check_plans(config)
             check_same_run(config, RUNS / config.name)

@@ -137,7 +137,7 @@ def resolved(config: DictConfig) -> dict[str, Any]:
 def checked(plain: dict[str, Any], parsed: Sequence[Override] = ()) -> DictConfig:
     """`plain` as a config with its `name` filled in. Raises BadInput when the schema says no."""
     plain = {**plain, "logger": plain.get("logger") or {}}  # none at all is a choice, too
-    problems = list(_problems(plain)) or list(_misfits(plain))
+    problems = list(_problems(plain))
     if problems:
         asked = {override.key_or_group for override in parsed}
         first = next((p for p in problems if p.key in asked), problems[0])
@@ -165,11 +165,6 @@ def _problems(plain: Mapping[str, Any]) -> Iterator[schema.Problem]:
                 yield from _problems_of_section(level, f"logger.{name}", "logger")
         else:
             yield from _problems_of_section(section, room, room)
-
-
-def _misfits(plain: Mapping[str, Any]) -> Iterator[schema.Problem]:
-    """Levels, each right by itself, that do not go together."""
-    return schema.problems_of_fit({r: plain[r] for r in rooms() if r != "logger"})
 
 
 def _problems_of_section(section: Any, key: str, room: str) -> Iterator[schema.Problem]:

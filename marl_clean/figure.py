@@ -5,6 +5,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 from rich.console import Console
 
+from marl_clean.checks import check_square_view
 from marl_clean.comparison import COMPARISONS
 from marl_clean.errors import BadInput
 from marl_clean.schema import choices
@@ -20,9 +21,14 @@ NAMES = (
 
 
 def main(name: str, cfg: DictConfig, console: Console | None = None) -> list[Path]:
-    """Draw figure `name` of `cfg`'s world. Raises BadInput when there is no such figure."""
+    """Draw figure `name` of `cfg`'s world.
+
+    Raises BadInput when there is no such figure, or robots do not see what it shows.
+    """
     if name not in NAMES:
         raise BadInput(f"figure {name!r}: no such figure; {choices(name, (*NAMES, *COMPARISONS))}")
+    if name == "paper_2":
+        check_square_view(cfg, "figure paper_2")
     from marl_clean.report.axes import save_figure
     from marl_clean.report.figures import draw_figure
 

@@ -6,7 +6,7 @@ The nested TensorDict `agents` has batch `[*B, n]`; termination stands at the ro
 
 AGENTS = "agents"
 
-OBSERVATION = (AGENTS, "observation")  # *B n ch K K float32
+OBSERVATION = (AGENTS, "observation")  # *B n ch K K, or *B n d, float32
 POSITION = (AGENTS, "position")  # *B n 2 int64, (row, col) in the house
 ADJACENCY = (AGENTS, "adjacency")  # *B n n bool, symmetric, false on the diagonal
 DISTANCE_RANK = (AGENTS, "distance_rank")  # *B n n int64, 0 itself, 1 the nearest, ...

@@ -62,6 +62,19 @@ def definition(target: str) -> ast.ClassDef:
     return _class_in(*_locate(target))
 
 
+def constant(target: str, name: str) -> Any | None:
+    """What the body of the class `target`, or the nearest base that has it, sets `name` to."""
+    place: tuple[Path, str] | None = _locate(target)
+    while place is not None:
+        source, node = place[0], _class_in(*place)
+        for item in node.body:
+            if isinstance(item, ast.Assign) and [ast.unparse(t) for t in item.targets] == [name]:
+                return _evaluate(item.value)
+        inherited = (_import_of(source, ast.unparse(base)) for base in node.bases)
+        place = next(filter(None, inherited), None)
+    return None
+
+
 def problems_of_level(section: Mapping[str, Any], key: str, room: str) -> Iterator[Problem]:
     """Everything wrong with one level's section, such as `comm` or `logger.csv`."""
     target = section.get("_target_")
@@ -77,27 +90,6 @@ def problems_of_level(section: Mapping[str, Any], key: str, room: str) -> Iterat
     required = [name for name, parameter in accepted.items() if parameter.required]
     types_ = {name: parameter.annotation for name, parameter in accepted.items()}
     yield from problems_of_mapping(given, types_, f"{key}.", required)
-
-
-def problems_of_fit(sections: Mapping[str, Any]) -> Iterator[Problem]:
-    """Every level that another one does not go with: see `fits` in a class's body.
-
-    `sections` are the rooms that hold one level each, by name.
-    """
-    targets = {room: str(section["_target_"]) for room, section in sections.items()}
-    levels = {room: target.split(".")[2] for room, target in targets.items()}
-    for room, target in targets.items():
-        for other, valid in fits(target).items():
-            if other in levels and levels[other] not in valid:
-                yield Problem(
-                    f"{other}={levels[other]}",
-                    f"does not fit {room}={levels[room]}; valid: {', '.join(valid)}",
-                )
-
-
-def fits(target: str) -> dict[str, list[str]]:
-    """The levels of other rooms that `target` goes with: its class's `fits`; {}: with all."""
-    return _fits_of(*_locate(target))
 
 
 def problems_of_mapping(
@@ -249,17 +241,6 @@ def _of_definition(source: Path, node: ast.ClassDef) -> dict[str, Parameter]:
     for base in map(ast.unparse, node.bases):
         if (inherited := _import_of(source, base)) is not None:
             return _of_class(*inherited)
-    return {}
-
-
-def _fits_of(source: Path, name: str) -> dict[str, list[str]]:
-    node = _class_in(source, name)
-    for item in node.body:
-        if isinstance(item, ast.AnnAssign) and ast.unparse(item.target) == "fits" and item.value:
-            return ast.literal_eval(item.value)
-    for base in map(ast.unparse, node.bases):
-        if (inherited := _import_of(source, base)) is not None:
-            return _fits_of(*inherited)
     return {}
 
 

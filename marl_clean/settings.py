@@ -4,7 +4,7 @@ No torch here: the commands check a config against these types before torch is i
 """
 
 import re
-from enum import StrEnum
+from enum import Enum, StrEnum
 from typing import Annotated, Literal, TypedDict
 
 from pydantic import AfterValidator, Field
@@ -62,6 +62,13 @@ class Assignment(StrEnum):
     HUNGARIAN = "hungarian"
 
 
+class Form(Enum):
+    """The form of what a robot sees; an observation says which it gives, an encoder its own."""
+
+    SQUARES = "squares"
+    VECTOR = "a vector"
+
+
 class HouseOrder(StrEnum):
     """Which house an episode gets: a drawn one, or environment i always house i."""
 
@@ -100,9 +107,12 @@ OddInt = Annotated[int, Field(ge=1), AfterValidator(_odd)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
+Scales = Annotated[int, Field(ge=2, le=4)]
+RangeCells = Annotated[int, Field(ge=1, le=1024)]
 LARGEST_SIDE = 4096  # rows or columns of a house in cells, or of its image in pixels
+HouseSide = Annotated[int, Field(ge=1, le=LARGEST_SIDE)]
 Range = Annotated[
-    list[Annotated[int, Field(ge=1, le=LARGEST_SIDE)]],
+    list[HouseSide],
     Field(min_length=2, max_length=2),
     AfterValidator(_ascending),
 ]

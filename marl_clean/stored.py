@@ -25,6 +25,7 @@ from marl_clean.safe_yaml import load_yaml
 RUNS = Path("runs")
 CONFIG = "config.yaml"
 NETWORK = ("observation", "encoder", "comm", "agent")
+SAME_NETWORK = ("observation.position_noise",)  # of these rooms, but any weights play with it
 
 
 def compose_for_policy(overrides: Sequence[str]) -> DictConfig:
@@ -43,10 +44,11 @@ def compose_for_policy(overrides: Sequence[str]) -> DictConfig:
     wanted = apply(stored, parsed)
     for room in NETWORK:
         for key, old, new in _differences(stored[room], wanted[room], room):
-            raise BadInput(
-                f"{key}: {new} does not fit checkpoint {given[-1]}, which was trained with {old}; "
-                "leave it out"
-            )
+            if key not in SAME_NETWORK:
+                raise BadInput(
+                    f"{key}: {new} does not fit checkpoint {given[-1]}, which was trained with"
+                    f" {old}; leave it out"
+                )
     return checked(wanted, parsed)
 
 

@@ -19,6 +19,7 @@ from marl_clean.compose import (
     resolved,
     sweep_jobs,
 )
+from marl_clean.fitting import check_fit
 from marl_clean.stored import RUNS, check_same_run
 
 
@@ -55,6 +56,7 @@ def named_jobs(parsed: Sequence[Override]) -> list[list[str]]:
         if any(setting.startswith("name=") for setting in job):
             config.name = f"{config.name}/{config_hash(config)[:8]}"
         check_house(config)
+        check_fit(config)
         check_plans(config)
         check_same_run(config, RUNS / config.name)
         jobs[config.name] = [*job, f"name={config.name}"]

@@ -36,6 +36,11 @@ class WorldTransform(Transform):
     def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:
         """Return the spec of every entry that `read` gives."""
 
+    def env_index_of(self, state: State) -> Tensor:
+        """The indices of the worlds in `state`, as `read` gets it: all, or those that reset."""
+        env = self.cleaning
+        return env.env_index if state is env.state else env.env_index[env.reset_rows]
+
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key, value in self.read(self.cleaning.state, self.cleaning.compiled).items():
             next_tensordict.set(key, value)

@@ -59,6 +59,7 @@ class Settings:
     unknown_value: Fraction | float = UNKNOWN  # v of an unknown cell: -0.2 or 0
     cases: Cases = Cases.ADD
     obstacles: ObstaclePay = ObstaclePay.FIRST
+    bump_noise: float = 0.0  # who misses which bump is drawn elsewhere, and handed to the world
     max_steps: int | None = None  # None: 4 * R * C // n_agents + 50
     stuck_after: int | None = 100  # None: off
     view_size: int = 15
@@ -210,7 +211,8 @@ class World:
 
     `furniture` holds 0 or a piece's number for each cell (blocked in `free`); `moves` are
     (step, piece, direction), step 1 being the first that the robots take; `memorised` is the
-    layout that a stale map believes in, the true one otherwise.
+    layout that a stale map believes in, the true one otherwise. Robots do not notice a bump at
+    the (step, robot) of `missed`, steps counted from 0: it writes nothing and pays nothing.
     """
 
     def __init__(
@@ -221,12 +223,14 @@ class World:
         furniture: Pieces | None = None,
         moves: Sequence[tuple[int, int, int]] = (),
         memorised: Grid | None = None,
+        missed: Iterable[tuple[int, int]] = (),
     ) -> None:
         self.settings = settings
         self.rows, self.cols = len(free), len(free[0])
         self.free = [list(line) for line in free]
         self.furniture = furniture or [[0] * self.cols for _ in range(self.rows)]
         self.moves = list(moves)
+        self.missed = set(missed)
         self.positions = list(starts)
         self.n_agents = len(self.positions)
         default_steps = 4 * self.rows * self.cols // self.n_agents + 50
@@ -348,14 +352,15 @@ class World:
         bumped = [not self.is_free(place) for place in target]
         collided = [not (m or b) for m, b in zip(moved, bumped, strict=True)]
         robots = range(self.n_agents)
-        terms = [self._reward_terms(i, target[i], moved[i], bumped[i]) for i in robots]
+        noticed = [bumped[i] and (self.steps, i) not in self.missed for i in robots]
+        terms = [self._reward_terms(i, target[i], moved[i], noticed[i]) for i in robots]
         own_reward = [sum(robot_terms, Fraction(0)) for robot_terms in terms]
 
         self.steps += 1
         for robot in robots:
             if moved[robot]:
                 self.positions[robot] = target[robot]
-            if bumped[robot]:
+            if noticed[robot]:
                 self.map_of(robot)[target[robot]] = Record(blocked=True, written=self.steps)
         newly_cleaned = self._clean()
         self._move_furniture()

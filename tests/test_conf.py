@@ -29,7 +29,17 @@ FLOORS = [
     {"env"},
     {"transform", "observation", "topology", "reward", "encoder", "comm", "channel"},
     {"networks", "agent", "planner"},
-    {"trainer", "evaluation", "report", "logger", "checkpoint", "build", "compose", "stored"},
+    {
+        "trainer",
+        "evaluation",
+        "report",
+        "logger",
+        "checkpoint",
+        "build",
+        "compose",
+        "stored",
+        "fitting",
+    },
 ]
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 TOP = len(FLOORS)

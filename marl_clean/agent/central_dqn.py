@@ -55,7 +55,7 @@ class CentralDqn(DeepQ):
         BadInput: more than 5 robots; 4^6 = 4,096 outputs learn nothing in a sensible time.
     """
 
-    fits: ClassVar = {"comm": ["none"], "reward": ["team"]}
+    fits = {"comm": ["none"], "reward": ["team"]}
 
     network: JointQNetwork
     sees = (keys.OBSERVATION,)

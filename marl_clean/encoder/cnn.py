@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from marl_clean.encoder.base import connect
 from marl_clean.errors import BadInput
-from marl_clean.settings import Layers, NonNegativeInt, PositiveInt, Probability
+from marl_clean.settings import Form, Layers, NonNegativeInt, PositiveInt, Probability
 from marl_clean.world.rules import BLOCKED_VALUE, CLEANED_VALUE, ROBOT_VALUE, UNKNOWN_VALUE
 
 
@@ -40,7 +41,7 @@ class Cnn(nn.Module):
     ReLU and, if asked for, dropout. All robots share the weights.
 
     Args:
-        observation_shape: (channel, K, K) of one robot's observation.
+        observation_shape: (channel, rows, cols) of one robot's observation.
         channels: output channels of each convolution.
         kernel_size: side of each convolution's window.
         strides: stride of each convolution.
@@ -51,8 +52,11 @@ class Cnn(nn.Module):
         channels_last: memory format of the convolutions; faster on a CPU, the same result.
 
     Raises:
-        BadInput: lists of different lengths, or a square too small for the convolutions.
+        BadInput: lists of different lengths, an observation that is no square or one too small
+            for the convolutions.
     """
+
+    takes = Form.SQUARES
 
     def __init__(
         self,
@@ -67,6 +71,8 @@ class Cnn(nn.Module):
         channels_last: bool,
     ) -> None:
         super().__init__()
+        if len(observation_shape) != 3:
+            raise BadInput(f"encoder=cnn: takes squares, not {list(observation_shape)}")
         if len(channels) != len(strides):
             raise BadInput(
                 f"encoder.strides: {len(strides)} strides for {len(channels)} convolutions;"
@@ -90,13 +96,8 @@ class Cnn(nn.Module):
             )
         self.convolutions = nn.Sequential(*convolutions)
         self.convolutions.to(memory_format=self.memory_format)  # type: ignore[call-overload]
-        widths = [channels[-1] * math.prod(sides), *hidden]
-        connected: list[nn.Module] = []
-        for before, after in pairwise(widths):
-            connected += [nn.Linear(before, after), nn.ReLU(inplace=True)]
-            connected += [nn.Dropout(dropout)] if dropout else []
-        self.connected = nn.Sequential(*connected)
-        self.out_features = widths[-1]
+        self.connected = connect([channels[-1] * math.prod(sides), *hidden], dropout)
+        self.out_features = hidden[-1]
 
     def forward(
         self, observation: Float[Tensor, "*batch agent channel row col"]

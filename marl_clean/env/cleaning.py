@@ -26,6 +26,7 @@ from marl_clean.settings import (
     NonNegativeInt,
     ObstaclePay,
     PositiveInt,
+    Probability,
     Sensor,
     Worlds,
 )
@@ -33,6 +34,7 @@ from marl_clean.viewer import draw
 from marl_clean.world.dynamics import MOVES, advance, commit_, episode_ends, touch_
 from marl_clean.world.episode import FurnitureMoves, begin
 from marl_clean.world.furniture import move_furniture_
+from marl_clean.world.noise import unnoticed_bumps
 from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import merge_maps
 from marl_clean.world.state import State
@@ -90,6 +92,7 @@ class CleaningEnv(EnvBase):
         unknown_pays_as: v of an unknown cell in the cleaning term: -0.2 or 0.
         cases: whether the reward's terms add up or exclude each other.
         obstacles: whether a bump pays the first time or every time.
+        bump_noise: probability that a bump goes unnoticed: nothing is written, nothing paid.
         furniture_moves_per_episode: moves of one piece by one cell, drawn at reset.
         furniture_moves_before_start: with knowledge=stale, moves since the robots memorised.
         compile: compile the pure parts of a step (some 20 s once, several times faster after);
@@ -124,6 +127,7 @@ class CleaningEnv(EnvBase):
         unknown_pays_as: float = -0.2,
         cases: Cases = Cases.ADD,
         obstacles: ObstaclePay = ObstaclePay.FIRST,
+        bump_noise: Probability = 0.0,
         furniture_moves_per_episode: NonNegativeInt = 0,
         furniture_moves_before_start: NonNegativeInt = 0,
         compile: bool = False,
@@ -145,6 +149,7 @@ class CleaningEnv(EnvBase):
             unknown_pays_as=unknown_pays_as,
             cases=cases,
             obstacles=obstacles,
+            bump_noise=bump_noise,
             stuck_after=stuck_after,
             margin=margin,
         )
@@ -229,7 +234,11 @@ class CleaningEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         state = self.state
         step = self.compiled(advance)
-        outcome = step(state, tensordict.get(keys.ACTION), self.moves, self.rules)
+        unnoticed = None
+        if self.rules.bump_noise:
+            draw = self.compiled(unnoticed_bumps)
+            unnoticed = draw(state, self.env_index, self.seed_in_use, self.rules.bump_noise)
+        outcome = step(state, tensordict.get(keys.ACTION), self.moves, self.rules, unnoticed)
         commit_(state, outcome)
         if self.furniture.during_episode:
             move_furniture_(state, self.rules.margin)

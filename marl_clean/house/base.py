@@ -182,6 +182,16 @@ def _drawn(house: House, seed: int, n_agents: int) -> Plan:
     )
 
 
+def check_largest(largest_side: int, rows: int, cols: int) -> None:
+    """Raises BadInput when a house of rows x cols is larger than `observation.largest_side`."""
+    if max(rows, cols) > largest_side:
+        raise BadInput(
+            f"observation.largest_side={largest_side}: too small for houses of {rows}x{cols};"
+            f" at least {max(rows, cols)} is needed, and a policy plays no larger houses than"
+            " it was trained to see"
+        )
+
+
 def _loaded(house: House, n_agents: int) -> Plan:
     plan = keep_region(house.plan(0))
     free_cells = int(np.count_nonzero(plan.free))

@@ -1,20 +1,18 @@
 """`observation=crop`: the paper's."""
 
-import torch
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import Bounded, TensorSpec
 
 from marl_clean import keys
-from marl_clean.env.cleaning import CleaningEnv
-from marl_clean.settings import Memory, OddInt
-from marl_clean.transform import Compile, WorldTransform
-from marl_clean.world.rules import BLOCKED_VALUE, ROBOT_VALUE
+from marl_clean.observation.base import Observation
+from marl_clean.settings import Form, Memory, OddInt, Probability
+from marl_clean.transform import Compile
+from marl_clean.world.noise import believed_position
 from marl_clean.world.sensing import crop, mark_contacts
 from marl_clean.world.state import State
 
 
-class Crop(WorldTransform):
+class Crop(Observation):
     """A robot sees the square of its map around itself, itself in the middle (paper §3.2).
 
     Adds `("agents", "observation")`, float32 `[*B, n, 1, K, K]` with the map's values: -1 blocked,
@@ -22,22 +20,45 @@ class Crop(WorldTransform):
 
     Args:
         view_size: K, the side of the square in cells, odd.
+        position_noise: probability, for each step and robot, that the robot thinks that it is on
+            one of the four neighbouring cells of the house, and sees the square around that one.
+            Its map is written at the true place.
     """
 
-    def __init__(self, view_size: OddInt = 15) -> None:
+    gives = Form.SQUARES
+
+    def __init__(self, view_size: OddInt = 15, position_noise: Probability = 0.0) -> None:
         super().__init__()
         self.view_size = view_size
+        self.position_noise = position_noise
+        self.reach_cells = view_size // 2
+
+    def shape(self) -> tuple[int, ...]:
+        return 1, self.view_size, self.view_size
 
     def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
-        env = self.cleaning
+        centre = self.centre(state, compiled)
         view = compiled(crop, wide=True)(
-            state.record, state.position, state.step, self.view_size, env.rules
+            state.record, centre, state.step, self.view_size, self.cleaning.rules
         )
-        if env.rules.memory is Memory.PRIVATE and env.contact is not None:
-            view = compiled(mark_contacts)(view, state.position, env.contact(state, env.rules))
+        view = self.with_contacts(view, centre, state, compiled)
         return {keys.OBSERVATION: view.unsqueeze(2)}
 
-    def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:
-        side = self.view_size
-        shape = torch.Size([env.num_envs, env.n_agents, 1, side, side])
-        return {keys.OBSERVATION: Bounded(BLOCKED_VALUE, ROBOT_VALUE, shape, device=env.device)}
+    def centre(self, state: State, compiled: Compile) -> Tensor:
+        """Return where each robot thinks it is, the middle of what it sees."""
+        if self.position_noise == 0:
+            return state.position
+        return compiled(believed_position)(
+            state, self.env_index_of(state), self.cleaning.seed_in_use, self.position_noise
+        )
+
+    def with_contacts(
+        self, view: Tensor, centre: Tensor, state: State, compiled: Compile
+    ) -> Tensor:
+        """Show the robots in contact in views of private maps; shared and merged ones show them."""
+        env = self.cleaning
+        if env.rules.memory is not Memory.PRIVATE or env.contact is None:
+            return view
+        corner = centre - view.shape[-1] // 2
+        contact = env.contact(state, env.rules)
+        return compiled(mark_contacts)(view, corner, state.position, contact)

@@ -3,14 +3,11 @@
 import torch
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import Bounded, TensorSpec
 
 from marl_clean import keys
-from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.observation.crop import Crop
 from marl_clean.transform import Compile
 from marl_clean.world.frontier import how_much_nearer, steps_to_frontier
-from marl_clean.world.rules import BLOCKED_VALUE, ROBOT_VALUE
 from marl_clean.world.state import State
 
 
@@ -20,20 +17,23 @@ class Frontier(Crop):
     Adds `("agents", "observation")`, float32 `[*B, n, 2, K, K]`: the crop of the map, and a plane
     in [-1, 1] of (d(robot's own cell) - d(cell)) / K, clamped, where d is the walking distance
     over the known map to the nearest unknown or dirty cell. Where no way leads d is unbounded:
-    -1, and 0 all over when the robot itself has nowhere to go.
+    -1, and 0 all over when the robot itself has nowhere to go. Other robots are in nobody's way.
 
-    Unlike the crop this costs the house, not the view: a flood over the known map a step.
+    With private maps the distances are those over each robot's own. With `position_noise` both
+    planes are those around the cell that the robot takes for its own, and where the map holds
+    that for a wall the second is 0 all over.
+
+    Unlike the crop this costs the house, not the view: a flood over every known map a step.
+    Args and settings are the crop's.
     """
+
+    def shape(self) -> tuple[int, ...]:
+        return 2, self.view_size, self.view_size
 
     def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
         crop = super().read(state, compiled)[keys.OBSERVATION]
         distance = steps_to_frontier(state, self.cleaning.rules)
         plane = compiled(how_much_nearer, wide=True)(
-            distance, state.position, self.view_size, self.cleaning.rules
+            distance, self.centre(state, compiled), self.view_size, self.cleaning.rules
         )
         return {keys.OBSERVATION: torch.cat([crop, plane.unsqueeze(2)], 2)}
-
-    def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:
-        side = self.view_size
-        shape = torch.Size([env.num_envs, env.n_agents, 2, side, side])
-        return {keys.OBSERVATION: Bounded(BLOCKED_VALUE, ROBOT_VALUE, shape, device=env.device)}

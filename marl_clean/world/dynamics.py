@@ -44,13 +44,18 @@ def moves_on(device: torch.device) -> Int[Tensor, "4 2"]:
 
 
 def advance(
-    state: State, action: Int[Tensor, "env agent"], moves: Int[Tensor, "4 2"], rules: Rules
+    state: State,
+    action: Int[Tensor, "env agent"],
+    moves: Int[Tensor, "4 2"],
+    rules: Rules,
+    unnoticed: Bool[Tensor, "env agent"] | None = None,
 ) -> Outcome:
     """Move all robots at once and value what they do against the map before the step.
 
     A robot moves when its target is free, nobody stood there when the step began, and no
     lower-numbered robot enters it in this step. Of several robots with one free, empty target
     the lowest-numbered always gets it, so the last condition is: no lower number has this target.
+    A bump in `unnoticed` counts as one, but writes nothing and pays nothing.
     """
     num_envs, n_agents = action.shape
     height, width = state.blocked.shape[1:]
@@ -69,13 +74,14 @@ def advance(
 
     now = (state.step + 1).to(state.record.dtype)[:, None]
     held = held_records(state, target_cell)
-    step_term, cleaning_term, discovery_term = reward_terms(held, now, moved, bumped, rules)
+    noticed = bumped if unnoticed is None else bumped & ~unnoticed
+    step_term, cleaning_term, discovery_term = reward_terms(held, now, moved, noticed, rules)
 
     step = state.step + 1
     newly_cleaned = ~state.visited.flatten(1).gather(1, cell)
     progress = newly_cleaned.any(-1)
     written = (step + 1).to(state.record.dtype)[:, None].expand(num_envs, n_agents)
-    bump_or_own = torch.where(bumped, target_cell, cell)
+    bump_or_own = torch.where(noticed, target_cell, cell)
     base = map_base(state)
     envs = torch.arange(num_envs, device=action.device)[:, None]
     return Outcome(
@@ -92,7 +98,7 @@ def advance(
         num_visited=state.num_visited + newly_cleaned.sum(-1),
         visited_index=envs * (height * width) + cell,
         record_index=torch.cat([base + cell, base + bump_or_own], -1),
-        record_value=torch.cat([written, torch.where(bumped, -written, written)], -1),
+        record_value=torch.cat([written, torch.where(noticed, -written, written)], -1),
     )
 
 

@@ -5,6 +5,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from marl_clean.world.distance import UNREACHABLE, walking_distance
+from marl_clean.world.furniture import inside_house
 from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import windows_around
 from marl_clean.world.shared_map import is_known_dirty, is_known_free, is_unknown
@@ -14,14 +15,15 @@ from marl_clean.world.state import State
 def steps_to_frontier(state: State, rules: Rules) -> Float[Tensor, "env map height width"]:
     """Return the walking distance from every cell to the nearest unknown or dirty one.
 
-    Over cells known to be available; UNREACHABLE where none leads there. The flood runs over the
-    house and its ring, and costs them times the longest way.
+    Over cells known to be available; UNREACHABLE where none leads there, and outside the house
+    and its ring. The flood runs over these, and costs them times the longest way.
     """
     ring = rules.margin - 1
     matrix = slice(ring, -ring or None)
     record = state.record[..., matrix, matrix]
     now = (state.step + 1).to(record.dtype).view(-1, 1, 1, 1)
-    goals = is_unknown(record) | is_known_dirty(record, now, rules)
+    own = inside_house(state.rows + 2, state.cols + 2, *record.shape[-2:], margin=0)
+    goals = (is_unknown(record) & own[:, None]) | is_known_dirty(record, now, rules)
     distance = walking_distance(is_known_free(record), goals).to(torch.float32)
     return torch.nn.functional.pad(distance, (ring,) * 4, value=float(UNREACHABLE))
 

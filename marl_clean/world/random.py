@@ -8,7 +8,7 @@ from enum import IntEnum
 from typing import Any
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 _LOW_32_BITS = 0xFFFFFFFF
@@ -21,6 +21,8 @@ class Purpose(IntEnum):
     START = 2
     FURNITURE = 3
     ACTION = 4
+    BUMP = 5
+    PLACE = 6
 
 
 def _mix(word: Any) -> Any:
@@ -49,3 +51,8 @@ def random_bits(seed: int, *words: int | Tensor) -> Int[Tensor, "..."]:
 def random_below(bound: int | Tensor, seed: int, *words: int | Tensor) -> Int[Tensor, "..."]:
     """Draw int64 values in [0, bound), bound at most 2^31; the bias is below bound / 2^32."""
     return (random_bits(seed, *words) * bound) >> 32
+
+
+def happens(probability: float, seed: int, *words: int | Tensor) -> Bool[Tensor, "..."]:
+    """Draw true with a probability, up to 2^-33."""
+    return random_bits(seed, *words) < round(probability * 2**32)

@@ -29,6 +29,7 @@ class Rules:
         cases: whether the terms add up or only the last that applies counts.
         obstacles: whether a bump pays the first time or every time.
         stuck_after: steps without a newly cleaned cell that end an episode; None: never.
+        bump_noise: probability that a bump goes unnoticed: nothing is written, nothing paid.
         margin: cells around the house in every stored matrix, at least the ring's 1.
         decay_a_step: how much the shown value of a cleaned cell falls a step.
         dirty_after: the age in steps from which a cell is dirty, ceil(0.5 / decay).
@@ -49,6 +50,7 @@ class Rules:
     cases: Cases = Cases.ADD
     obstacles: ObstaclePay = ObstaclePay.FIRST
     stuck_after: int | None = 100
+    bump_noise: float = 0.0
     margin: int = 7
     decay_a_step: float = field(init=False)
     dirty_after: int = field(init=False)
@@ -61,6 +63,8 @@ class Rules:
             raise BadInput(f"env.unknown_pays_as={self.unknown_pays_as}: must be -0.2 or 0")
         if self.decay_steps < 1:
             raise BadInput(f"env.decay_steps={self.decay_steps}: must be at least 1")
+        if not 0 <= self.bump_noise <= 1:
+            raise BadInput(f"env.bump_noise={self.bump_noise}: must be in [0, 1]")
         if self.margin < 1:
             raise BadInput(f"margin={self.margin}: must be at least 1, the ring around the house")
 

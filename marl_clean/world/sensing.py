@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from marl_clean.world.rules import ROBOT_VALUE, Rules
+from marl_clean.world.rules import BLOCKED_VALUE, ROBOT_VALUE, Rules
 from marl_clean.world.shared_map import map_value
 from marl_clean.world.state import State, cell_index
 
@@ -43,18 +43,41 @@ def windows_around(
 
 
 def mark_contacts(
-    view: Float[Tensor, "env agent view view"],
+    view: Float[Tensor, "env agent row col"],
+    corner: Int[Tensor, "env agent 2"],
     position: Int[Tensor, "env agent 2"],
     contact: Bool[Tensor, "env agent agent"],
-) -> Float[Tensor, "env agent view view"]:
-    """Show the robots in contact as 1 in views of private maps, where nothing else shows them."""
-    view_size = view.shape[-1]
-    half = view_size // 2
-    place = offsets(position) + half
-    inside = ((place >= 0) & (place < view_size)).all(-1) & contact
-    middle = half * view_size + half  # the robot itself: already 1
-    index = torch.where(inside, place[..., 0] * view_size + place[..., 1], middle)
-    return view.flatten(2).scatter(2, index, ROBOT_VALUE).view_as(view)
+) -> Float[Tensor, "env agent row col"]:
+    """Show the robots in contact as 1 in views of private maps, where nothing else shows them.
+
+    `corner` is the place in the house that each view's first cell shows.
+    """
+    rows, cols = view.shape[-2:]
+    row, col = (position[:, None] - corner[:, :, None]).unbind(-1)
+    inside = contact & (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    index = torch.where(inside, row * cols + col, 0)
+    shown = torch.where(inside, ROBOT_VALUE, BLOCKED_VALUE)  # the least value changes no cell
+    return view.flatten(2).scatter_reduce(2, index, shown, "amax").view_as(view)
+
+
+def free_run(
+    blocked: Bool[Tensor, "env height width"],
+    position: Int[Tensor, "env agent 2"],
+    compass: Int[Tensor, "direction 2"],
+    range_cells: int,
+    rules: Rules,
+) -> Int[Tensor, "env agent direction"]:
+    """Count the free cells from each robot's own to the first blocked one, up to `range_cells`.
+
+    In steps of `compass`; a diagonal ray passes between two corners. Rays that would leave the
+    matrix stay at its edge, where all is blocked.
+    """
+    height, width = blocked.shape[1:]
+    steps = torch.arange(1, range_cells + 1, device=position.device)
+    place = position[:, :, None, None] + compass[:, None] * steps[:, None] + rules.margin
+    cell = place[..., 0].clamp(0, height - 1) * width + place[..., 1].clamp(0, width - 1)
+    wall = blocked.flatten(1).gather(1, cell.flatten(1)).view(cell.shape)
+    return (~wall).cumprod(-1).sum(-1)
 
 
 def offsets(position: Int[Tensor, "env agent 2"]) -> Int[Tensor, "env agent agent 2"]:

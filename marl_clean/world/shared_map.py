@@ -8,7 +8,7 @@ costs nothing and two maps can be united (paper §3.2):
     record +(t + 1)   available, last cleaned at step t
     record +(t + 1/2) available and dirty, learnt at step t but not cleaned since
 
-Knowledge from before the episode is of step -1, hence the half step before: -1/2 and +1/2.
+Knowledge from before the episode is older than all of these, blocked or not: -1/8 and +1/8.
 With now = t + 1, the age of a record is now - record. float32 holds them up to 2^22 steps.
 A robot cleans the cell it stands on at every step, so in its own map the cells of age 0 are
 exactly those with a robot on them.
@@ -28,8 +28,8 @@ from marl_clean.world.rules import (
 )
 
 UNKNOWN_RECORD = 0.0
-MEMORISED_FREE = 0.5
-MEMORISED_BLOCKED = -0.5
+MEMORISED_FREE = 0.125
+MEMORISED_BLOCKED = -0.125
 
 
 def is_unknown(record: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from marl_clean import build, keys
 from marl_clean.compose import compose_config
 from marl_clean.errors import BadInput
+from marl_clean.fitting import check_fit
 from marl_clean.networks import decode_joint, encode_joint
 from tests.agent.parts import transitions
 
@@ -118,4 +119,4 @@ def test_six_robots_are_too_many():
 )
 def test_levels_that_do_not_fit_are_refused(override, said):
     with pytest.raises(BadInput, match=f"^{said}$"):
-        compose_config([*CENTRAL, override])
+        check_fit(compose_config([*CENTRAL, override]))

@@ -18,7 +18,7 @@ from marl_clean.topology.radius import Radius
 from marl_clean.topology.sight import Sight
 from marl_clean.topology.view import View
 from marl_clean.world.dynamics import touch_
-from marl_clean.world.shared_map import merge_maps
+from marl_clean.world.shared_map import MEMORISED_BLOCKED, MEMORISED_FREE, merge_maps
 from tests.reference import Settings
 from tests.world.strategies import Case
 
@@ -79,6 +79,7 @@ def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
         unknown_pays_as=float(settings.unknown_value),
         cases=settings.cases,
         obstacles=settings.obstacles,
+        bump_noise=settings.bump_noise,
         furniture_moves_per_episode=1,
         margin=max(side // 2, settings.view_size // 2),
         house_order=HouseOrder.FIXED,
@@ -130,8 +131,8 @@ def believe(base: CleaningEnv, cases: list[Case]) -> None:
     for index, case in enumerate(cases):
         layout = torch.tensor(case.free if case.memorised is None else case.memorised)
         rows, cols = layout.shape
-        matrix = torch.full((rows + 2, cols + 2), -0.5)
-        matrix[1:-1, 1:-1] = torch.where(layout, 0.5, -0.5)
+        matrix = torch.full((rows + 2, cols + 2), MEMORISED_BLOCKED)
+        matrix[1:-1, 1:-1] = torch.where(layout, MEMORISED_FREE, MEMORISED_BLOCKED)
         state.record[index] = 0.0
         ring = slice(margin - 1, margin + rows + 1), slice(margin - 1, margin + cols + 1)
         state.record[index][:, *ring] = matrix

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import product
 
 from hypothesis import strategies as st
 
@@ -27,6 +28,8 @@ from tests.reference import (
 
 MAX_STEPS_PLAYED = 40
 MAX_AGENTS = 6
+LONGEST_PLAY = 100  # above every number of steps that a test plays a case for
+BUMP = 5  # `Purpose.BUMP`, by its number: published results hang on it
 
 SHAPES = [(1, 2), (2, 3), (3, 7), (7, 3), (1, 9), (9, 1), (4, 4), (6, 5), (5, 8), (8, 8)]
 shapes = st.one_of(
@@ -51,10 +54,45 @@ class Case:
     memorised: Grid | None
     actions: list[list[int]]
 
-    def world(self) -> World:
+    def world(self, env_index: int = 0) -> World:
+        """The plain world; which bumps are missed depends on the place in the batch (seed 0)."""
         return World(
-            self.free, self.starts, self.settings, self.furniture, self.moves, self.memorised
+            self.free,
+            self.starts,
+            self.settings,
+            self.furniture,
+            self.moves,
+            self.memorised,
+            missed_bumps(self.settings.bump_noise, env_index, len(self.starts)),
         )
+
+
+def missed_bumps(
+    probability: float, env_index: int, n_agents: int, episode: int = 0
+) -> set[tuple[int, int]]:
+    """Every (step, robot) of a case at which a bump goes unnoticed, by the world's own draw."""
+    if probability == 0:
+        return set()
+    threshold = round(probability * 2**32)
+    return {
+        (step, robot)
+        for step, robot in product(range(LONGEST_PLAY), range(n_agents))
+        if plain_bits(0, env_index, episode, BUMP, step, robot) < threshold
+    }
+
+
+def plain_bits(seed: int, *words: int) -> int:
+    """The world's hash ("lowbias32", chained over the words) in plain integers."""
+
+    def mix(word: int) -> int:
+        for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
+            word = (word ^ word >> shift) * factor % 2**32
+        return word ^ word >> 16
+
+    state = mix(mix(seed % 2**32) ^ seed >> 32)
+    for word in words:
+        state = mix(state ^ word)
+    return state
 
 
 def is_connected(free: set[Place]) -> bool:
@@ -110,6 +148,7 @@ def settings(draw: st.DrawFn) -> Settings:
         unknown_value=draw(st.sampled_from([UNKNOWN, Fraction(0)])),
         cases=draw(st.sampled_from(Cases)),
         obstacles=draw(st.sampled_from(ObstaclePay)),
+        bump_noise=draw(st.sampled_from([0.0, 0.0, 0.3, 1.0])),
         max_steps=draw(st.sampled_from([None, None, None, 7, MAX_STEPS_PLAYED])),
         stuck_after=draw(st.sampled_from([None, None, 100, 20, 8])),
         view_size=draw(st.sampled_from([1, 3, 5, 7, 15])),

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from torchrl.envs.utils import step_mdp
 
 from marl_clean import keys
+from marl_clean.settings import Knowledge, Memory, Sensor
 from marl_clean.world.sensing import crossed_cells
-from tests.reference import World
+from tests.reference import Settings, World
 from tests.world.play import env_of, start
 from tests.world.strategies import Case, cases
 
@@ -49,7 +50,7 @@ def assert_same_outcome(tensordict, state, index: int, world: World, outcome) ->
 
 def assert_same_play(drawn: list[Case], whole_map: bool) -> None:
     env = env_of(drawn, whole_map)
-    worlds = [case.world() for case in drawn]
+    worlds = [case.world(index) for index, case in enumerate(drawn)]
     side = env.transform[1].view_size
     tensordict = start(env, drawn)
     for index, world in enumerate(worlds):
@@ -97,6 +98,17 @@ def test_several_worlds_together_equal_each_alone(data: st.DataObject) -> None:
         )
     )
     assert_same_play([first, *others], whole_map=True)
+
+
+def test_what_is_touched_at_step_0_is_newer_than_what_was_memorised() -> None:
+    """Robot 1 stands where a wall was; touching tells it, and it tells robot 0."""
+    readings = Settings(
+        memory=Memory.MERGED, knowledge=Knowledge.STALE, sensor=Sensor.TOUCH4, view_size=3
+    )
+    memorised = [[True, False, True], [True, False, True], [True, True, True]]
+    case = Case([[True] * 3] * 3, [[0] * 3] * 3, [(0, 0), (0, 1)], readings, [], memorised, [])
+    assert case.world().seen(0)[1, 1] == 0
+    assert_same_play([case], whole_map=True)
 
 
 def test_sight_lines_cross_what_they_should() -> None:

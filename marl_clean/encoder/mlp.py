@@ -1,0 +1,40 @@
+"""Fully connected layers: what a robot makes of a few numbers."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from marl_clean.encoder.base import connect
+from marl_clean.errors import BadInput
+from marl_clean.settings import Form, Layers, Probability
+
+
+class Mlp(nn.Module):
+    """Turn each robot's vector, such as its sensors' distances, into a feature vector.
+
+    Fully connected layers, each followed by a ReLU and, if asked for, dropout. All robots share
+    the weights.
+
+    Args:
+        observation_shape: (entries,) of one robot's observation.
+        hidden: width of each layer; the last is the feature's.
+        dropout: share of hidden units dropped while learning.
+
+    Raises:
+        BadInput: one robot's observation is no vector.
+    """
+
+    takes = Form.VECTOR
+
+    def __init__(self, observation_shape: torch.Size, hidden: Layers, dropout: Probability) -> None:
+        super().__init__()
+        if len(observation_shape) != 1:
+            raise BadInput(f"encoder=mlp: takes a vector, not {list(observation_shape)}")
+        self.connected = connect([observation_shape[0], *hidden], dropout)
+        self.out_features = hidden[-1]
+
+    def forward(
+        self, observation: Float[Tensor, "*batch agent entry"]
+    ) -> Float[Tensor, "*batch agent feature"]:
+        """Return one feature vector a robot, from its own observation alone."""
+        return self.connected(observation)

@@ -1,0 +1,54 @@
+"""Which levels fit each other: asked of their classes, before torch is imported."""
+
+from typing import Any
+
+from omegaconf import DictConfig
+
+from marl_clean.compose import conf_folder, rooms
+from marl_clean.errors import BadInput
+from marl_clean.safe_yaml import load_yaml
+from marl_clean.schema import constant
+from marl_clean.settings import Form
+
+
+def check_fit(config: DictConfig) -> None:
+    """Raises BadInput when two levels do not go together.
+
+    A class may say in `fits` which levels of other rooms it goes with; an encoder `takes` the
+    form of observation that another room's level `gives`; only squares can be turned.
+    """
+    targets = {room: section._target_ for room, section in config.items() if _is_level(section)}
+    for room, target in targets.items():
+        for other, valid in (constant(target, "fits") or {}).items():
+            if (level := _level(targets[other])) not in valid:
+                raise BadInput(
+                    f"{other}={level}: does not fit {room}={_level(target)};"
+                    f" valid: {', '.join(valid)}"
+                )
+    observation, encoder = config.observation._target_, config.encoder._target_
+    gives, takes = constant(observation, "gives"), constant(encoder, "takes")
+    if gives is not takes:
+        raise BadInput(
+            f"encoder={_level(encoder)}: takes {takes.value}, observation={_level(observation)}"
+            f" gives {gives.value}; valid: {', '.join(encoders_of(gives))}"
+        )
+    if gives is not Form.SQUARES and config.agent.get("augment", False):
+        raise BadInput(
+            f"agent.augment=true: turns squares, observation={_level(observation)} gives"
+            f" {gives.value}; valid: false"
+        )
+
+
+def encoders_of(form: Form) -> list[str]:
+    """The encoders that take a form of observation."""
+    folder = conf_folder() / "encoder"
+    sections = ((level, load_yaml(folder / f"{level}.yaml")) for level in rooms()["encoder"])
+    return [level for level, section in sections if constant(section["_target_"], "takes") is form]
+
+
+def _is_level(section: Any) -> bool:
+    return isinstance(section, DictConfig) and "_target_" in section
+
+
+def _level(target: str) -> str:
+    return target.split(".")[2]

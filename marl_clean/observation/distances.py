@@ -1,0 +1,46 @@
+"""`observation=distances`: the paper's alternative, sensors instead of memory."""
+
+import torch
+from tensordict.utils import NestedKey
+from torch import Tensor
+
+from marl_clean import keys
+from marl_clean.observation.base import Observation
+from marl_clean.settings import Form, RangeCells
+from marl_clean.transform import Compile
+from marl_clean.world.sensing import free_run
+from marl_clean.world.state import State
+
+COMPASS = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
+"""North (up), north-east, east and on around, as changes of (row, col)."""
+
+
+class Distances(Observation):
+    """A robot senses how far the nearest obstacle is in eight directions (paper §3.2).
+
+    Adds `("agents", "observation")`, float32 `[*B, n, 8]` for N, NE, E, SE, S, SW, W, NW: the free
+    cells between the robot's own and the first blocked one in this direction, in the true house,
+    divided by the sensor's reach: 0 when the neighbour is blocked, 1 when no obstacle is within
+    reach. Diagonal cells are counted as others are, and a ray passes between two corners. Robots
+    are no obstacles. The map is not seen at all: a robot does not know where it has been.
+
+    Args:
+        range_cells: the sensors' reach in cells; what it costs.
+    """
+
+    gives = Form.VECTOR
+    lowest = 0.0
+
+    def __init__(self, range_cells: RangeCells = 15) -> None:
+        super().__init__()
+        self.range_cells = range_cells
+        self.register_buffer("compass", torch.tensor(COMPASS), persistent=False)
+
+    def shape(self) -> tuple[int, ...]:
+        return (len(COMPASS),)
+
+    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
+        cells = compiled(free_run)(
+            state.blocked, state.position, self.compass, self.range_cells, self.cleaning.rules
+        )
+        return {keys.OBSERVATION: cells.to(torch.float32) / self.range_cells}

@@ -1,0 +1,62 @@
+"""`observation=global_map`: all of the map, for whoever decides for all."""
+
+import torch
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import TensorSpec
+
+from marl_clean import keys
+from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.house.base import check_largest
+from marl_clean.observation.base import Observation
+from marl_clean.settings import Form, HouseSide, Memory
+from marl_clean.transform import Compile
+from marl_clean.world.scales import marked, whole_map
+from marl_clean.world.sensing import mark_contacts
+from marl_clean.world.state import State
+
+
+class GlobalMap(Observation):
+    """A robot sees all of its map, and on a plane of its own where in it it is.
+
+    Adds `("agents", "observation")`, float32 `[*B, n, 2, L + 2, L + 2]`: the map's values, the
+    house's ring at the upper and left edge, unknown where the house is smaller than L x L; and a
+    plane that is 1 at the robot's own cell, else 0. Square, so that it can be turned.
+
+    L is a setting and not what the houses at hand happen to need: the network's size hangs on it,
+    so weights trained with one L play smaller houses and no larger ones.
+
+    Costs the house.
+
+    Args:
+        largest_side: L, the most rows or columns of a house.
+
+    Raises:
+        BadInput: a house is larger.
+    """
+
+    gives = Form.SQUARES
+
+    def __init__(self, largest_side: HouseSide = 10) -> None:
+        super().__init__()
+        self.largest_side = largest_side
+
+    def shape(self) -> tuple[int, ...]:
+        return 2, self.largest_side + 2, self.largest_side + 2
+
+    def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:
+        check_largest(self.largest_side, *env.houses.free.shape[1:])
+        return super().specs(env)
+
+    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
+        env = self.cleaning
+        known = compiled(whole_map, wide=True)(
+            state.record, state.step, self.largest_side, env.rules
+        )
+        view = known.expand(-1, env.n_agents, -1, -1)
+        if env.rules.memory is Memory.PRIVATE and env.contact is not None:
+            corner = torch.full_like(state.position, -1)  # the ring's
+            contact = env.contact(state, env.rules)
+            view = compiled(mark_contacts)(view, corner, state.position, contact)
+        own = compiled(marked)(state.position, self.largest_side)
+        return {keys.OBSERVATION: torch.stack([view, own], 2)}

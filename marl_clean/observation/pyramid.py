@@ -1,0 +1,56 @@
+"""`observation=pyramid`: the paper's square, and the same square again at coarser scales."""
+
+import torch
+from tensordict.utils import NestedKey
+from torch import Tensor
+
+from marl_clean import keys
+from marl_clean.observation.crop import Crop
+from marl_clean.settings import OddInt, Probability, Scales
+from marl_clean.transform import Compile
+from marl_clean.world.scales import PLANES_A_SCALE, coarser, wide_crop, widest_side
+from marl_clean.world.state import State
+
+
+class Pyramid(Crop):
+    """The crop, and twice, four times ... as much of the map around it, the coarser the farther.
+
+    Adds `("agents", "observation")`, float32 `[*B, n, 1 + 4 (scales - 1), K, K]`: the crop, then
+    for s = 1, 2, ... the square of K 2^s x K 2^s cells around the robot as four planes in [0, 1],
+    each entry a square of 2^s x 2^s cells: the share of them that is blocked, the share that is
+    unknown, their dirt on average (1 - 2 v of an available cell, 0 of others), and whether there
+    is a robot. The robot's own cell is in the middle of the middle entry at every scale, so cells
+    on the border of two entries count half in each, and turned views are views of turned houses.
+
+    Shares, since an average of the map's codes would mix walls with dirt; they are what the
+    encoder's `planes` makes of the crop, averaged, and pass it unchanged.
+
+    Costs (K 2^(scales - 1))^2 cells a robot, whatever the house.
+
+    Args:
+        view_size: K, the side of every square, odd.
+        scales: how many scales, the crop among them.
+        position_noise: see `Crop`; all scales are around the same cell.
+    """
+
+    def __init__(
+        self, view_size: OddInt = 15, scales: Scales = 3, position_noise: Probability = 0.0
+    ) -> None:
+        super().__init__(view_size, position_noise)
+        self.scales = scales
+        self.reach_cells = 2  # an edge beyond the ring, which `wide_crop` reads for all outside
+
+    def shape(self) -> tuple[int, ...]:
+        return 1 + PLANES_A_SCALE * (self.scales - 1), self.view_size, self.view_size
+
+    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
+        centre = self.centre(state, compiled)
+        side = widest_side(self.view_size, self.scales)
+        code = compiled(wide_crop, wide=True)(
+            state.record, centre, state.step, side, self.cleaning.rules
+        )
+        code = self.with_contacts(code, centre, state, compiled)
+        first = (side - self.view_size) // 2
+        middle = slice(first, first + self.view_size)
+        planes = compiled(coarser, wide=True)(code, self.view_size, self.scales)
+        return {keys.OBSERVATION: torch.cat([code[:, :, None, middle, middle], planes], 2)}

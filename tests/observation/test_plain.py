@@ -1,0 +1,137 @@
+"""Every observation is what the plain world shows, whatever the house and the reading."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs.utils import step_mdp
+
+from marl_clean import keys
+from marl_clean.observation.base import Observation
+from marl_clean.observation.crop import Crop
+from marl_clean.observation.distances import Distances
+from marl_clean.observation.global_map import GlobalMap
+from marl_clean.observation.pyramid import Pyramid
+from marl_clean.settings import Memory
+from tests.observation import plain
+from tests.reference import Settings, World
+from tests.world.play import env_of, start, topology_of
+from tests.world.strategies import Case, cases
+
+STEPS = 6
+LARGEST = 9
+Expected = Callable[[World, int, int], list]
+noises = st.sampled_from([0.0, 0.5, 1.0])
+sides = st.sampled_from([1, 3, 5])
+small_cases = cases(max_agents=3)
+
+
+def assert_sees(drawn: list[Case], observation: Observation, expected: Expected) -> None:
+    """Play all cases in one env; each of its worlds shows each robot what is expected."""
+    env = env_of(drawn)
+    env = TransformedEnv(env.base_env, Compose(topology_of(drawn[0].settings), observation))
+    worlds = [case.world(index) for index, case in enumerate(drawn)]
+    playing = [True] * len(drawn)
+    tensordict = start(env, drawn)
+    for step in range(min(STEPS, *(len(case.actions) for case in drawn))):
+        seen = tensordict[keys.OBSERVATION]
+        assert env.observation_spec[keys.OBSERVATION].is_in(seen)
+        for index, world in enumerate(worlds):
+            if playing[index]:
+                robots = range(world.n_agents)
+                shown = torch.tensor([expected(world, robot, index) for robot in robots])
+                torch.testing.assert_close(seen[index], shown, atol=1e-6, rtol=0)
+        actions = [case.actions[step] for case in drawn]
+        tensordict[keys.ACTION] = torch.tensor(actions)
+        tensordict = step_mdp(env.step(tensordict))
+        for index, world in enumerate(worlds):
+            if playing[index]:
+                outcome = world.step(actions[index])
+                playing[index] = not (outcome.terminated or outcome.truncated)
+
+
+@given(case=small_cases, side=sides, noise=noises)
+@hypothesis_settings(max_examples=25, deadline=None)
+def test_a_crop_is_around_where_the_robot_thinks_it_is(case: Case, side: int, noise: float) -> None:
+    def expected(world: World, robot: int, index: int) -> list:
+        centre = plain.believed(world, robot, noise, index)
+        return [plain.square(world, robot, centre, side)]
+
+    assert_sees([case], Crop(side, noise), expected)
+
+
+@given(case=small_cases, side=sides, scales=st.integers(2, 4), noise=noises)
+@hypothesis_settings(max_examples=25, deadline=None)
+def test_a_pyramid_counts_cells(case: Case, side: int, scales: int, noise: float) -> None:
+    def expected(world: World, robot: int, index: int) -> list:
+        centre = plain.believed(world, robot, noise, index)
+        coarse = (plain.coarse_planes(world, robot, centre, side, s) for s in range(1, scales))
+        return [plain.square(world, robot, centre, side), *(p for four in coarse for p in four)]
+
+    assert_sees([case], Pyramid(side, scales, noise), expected)
+
+
+@given(case=small_cases, range_cells=st.sampled_from([1, 2, 4, 15]))
+@hypothesis_settings(max_examples=25, deadline=None)
+def test_distances_walk_to_the_first_wall(case: Case, range_cells: int) -> None:
+    def expected(world: World, robot: int, index: int) -> list:
+        return plain.distances(world, robot, range_cells)
+
+    assert_sees([case], Distances(range_cells), expected)
+
+
+@given(case=small_cases)
+@hypothesis_settings(max_examples=25, deadline=None)
+def test_a_global_map_is_all_of_it(case: Case) -> None:
+    def expected(world: World, robot: int, index: int) -> list:
+        return plain.whole(world, robot, LARGEST)
+
+    assert_sees([case], GlobalMap(LARGEST), expected)
+
+
+@pytest.mark.parametrize("memory", Memory)
+@given(data=st.data())
+@hypothesis_settings(max_examples=6, deadline=None)
+def test_houses_of_several_sizes_are_seen_as_each_alone(
+    memory: Memory, data: st.DataObject
+) -> None:
+    first = data.draw(small_cases)
+    first = replace(first, settings=replace(first.settings, memory=memory))
+    n_agents = len(first.starts)
+    same = cases(st.just(first.settings), n_agents).filter(lambda c: len(c.starts) == n_agents)
+    drawn = [first, *data.draw(st.lists(same, min_size=1, max_size=2))]
+
+    def crop(world: World, robot: int, index: int) -> list:
+        return [plain.square(world, robot, plain.believed(world, robot, 0.5, index), 5)]
+
+    def pyramid(world: World, robot: int, index: int) -> list:
+        centre = plain.believed(world, robot, 0.5, index)
+        four = plain.coarse_planes(world, robot, centre, 3, 1)
+        return [plain.square(world, robot, centre, 3), *four]
+
+    assert_sees(drawn, Crop(5, 0.5), crop)
+    assert_sees(drawn, Pyramid(3, 2, 0.5), pyramid)
+    assert_sees(drawn, GlobalMap(LARGEST), lambda world, i, _: plain.whole(world, i, LARGEST))
+    assert_sees(drawn, Distances(3), lambda world, i, _: plain.distances(world, i, 3))
+
+
+def test_distances_by_hand() -> None:
+    case = Case(
+        [[True] * 4, [True, True, False, True], [True] * 4],
+        [[0] * 4] * 3,
+        [(1, 1), (2, 3)],
+        Settings(view_size=3),
+        [],
+        None,
+        [],
+    )
+    env = TransformedEnv(env_of([case]).base_env, Compose(topology_of(case.settings), Distances(2)))
+    seen = start(env, [case])[keys.OBSERVATION][0]
+    #                        N    NE   E    SE   S    SW   W    NW
+    assert seen[0].tolist() == [0.5, 0.5, 0.0, 0.5, 0.5, 0.5, 0.5, 0.5]
+    assert seen[1].tolist() == [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
