@@ -62,8 +62,11 @@ def definition(target: str) -> ast.ClassDef:
     return _class_in(*_locate(target))
 
 
-def constant(target: str, name: str) -> Any | None:
-    """What the body of the class `target`, or the nearest base that has it, sets `name` to."""
+def constant(target: str, name: str) -> Any:
+    """What the body of the class `target`, or the nearest base that has it, sets `name` to.
+
+    None where none does.
+    """
     place: tuple[Path, str] | None = _locate(target)
     while place is not None:
         source, node = place[0], _class_in(*place)
