@@ -85,7 +85,13 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     seen = env.observation_spec[keys.OBSERVATION].shape[2:]
     encoder = instantiate(cfg.encoder, observation_shape=seen)
     comm = instantiate(cfg.comm, in_features=encoder.out_features)
-    return instantiate(cfg.agent, encoder=encoder, comm=comm, device=cfg.device)
+    return instantiate(
+        cfg.agent,
+        encoder=encoder,
+        comm=comm,
+        num_actions=env.full_action_spec[keys.ACTION].n,
+        device=cfg.device,
+    )
 
 
 def load_policy(folder: Path) -> TensorDictModuleBase:

@@ -17,9 +17,12 @@ from marl_clean.settings import Precision
 NUM_ACTIONS = 4
 """Up, right, down, left (paper §3.2); there is no way to stay."""
 
+Count = int
+"""Of actions; handed over by whoever builds the learner, so never a config key."""
+
 
 class QNetwork(nn.Module):
-    """Values of the four actions of every robot: encoder, communication, head (paper figure 4).
+    """Values of every robot's actions: encoder, communication, head (paper figure 4).
 
         plain:   Q(o, a) = head(h')_a
         dueling: Q(o, a) = V(h') + A(h')_a - mean over a' of A(h')_a'      (arXiv 1511.06581)
@@ -28,17 +31,24 @@ class QNetwork(nn.Module):
     encoder's arithmetic, where the time goes; messages and values stay float32.
     """
 
-    def __init__(self, encoder: nn.Module, comm: Comm, dueling: bool, precision: Precision) -> None:
+    def __init__(
+        self,
+        encoder: nn.Module,
+        comm: Comm,
+        dueling: bool,
+        precision: Precision,
+        num_actions: Count = NUM_ACTIONS,
+    ) -> None:
         super().__init__()
         self.encoder = encoder
         self.comm = comm
         self.dueling = dueling
         self.reduced = precision == "bfloat16"
-        self.head = nn.Linear(comm.out_features, NUM_ACTIONS + dueling)
+        self.head = nn.Linear(comm.out_features, num_actions + dueling)
 
     def forward(
         self,
-        observation: Float[Tensor, "*batch agent channel row col"],
+        observation: Float[Tensor, "..."],
         adjacency: Bool[Tensor, "*batch agent agent"],
         distance_rank: Int[Tensor, "*batch agent agent"],
     ) -> tuple[
@@ -46,7 +56,10 @@ class QNetwork(nn.Module):
         Float[Tensor, "*batch agent message"],
         Float[Tensor, "*batch agent 1"],
     ]:
-        """Return action values, the messages sent, and what sending them cost in bits."""
+        """Return action values, the messages sent, and what sending them cost in bits.
+
+        `observation` is [*batch, agent, ...], as the encoder takes it.
+        """
         with torch.autocast(observation.device.type, torch.bfloat16, enabled=self.reduced):
             feature = self.encoder(observation)
         feature, message, bits = self.comm(feature.float(), adjacency, distance_rank)

@@ -12,7 +12,7 @@ from torchrl.objectives import DQNLoss, HardUpdate, SoftUpdate
 from torchrl.objectives.utils import TargetNetUpdater
 
 from marl_clean import keys, symmetry
-from marl_clean.agent.base import Agent, QNetwork
+from marl_clean.agent.base import NUM_ACTIONS, Agent, Count, QNetwork
 from marl_clean.comm.base import Comm
 from marl_clean.settings import PositiveFloat, PositiveInt, PositiveShare, Precision, Probability
 
@@ -86,6 +86,7 @@ class Iql(Agent):
             the one to the other over this fraction of the frames, and stays.
         precision: the encoder's arithmetic; bfloat16 is faster.
         augment: learn from each frame turned or mirrored, the same way for all its robots.
+        num_actions: actions of a robot.
         device: where the network lives.
     """
 
@@ -116,6 +117,7 @@ class Iql(Agent):
         annealing_fraction: Probability,
         precision: Precision,
         augment: bool,
+        num_actions: Count = NUM_ACTIONS,
         device: torch.device | str = "cpu",
     ) -> None:
         self.gamma, self.n_steps = gamma, n_steps
@@ -123,7 +125,8 @@ class Iql(Agent):
         self.lr, self.lr_end = lr, lr_end
         self.max_grad_norm = max_grad_norm
         self.augment = augment
-        self.network = QNetwork(encoder, comm, dueling, precision).to(device).eval()
+        network = QNetwork(encoder, comm, dueling, precision, num_actions)
+        self.network = network.to(device).eval()
         self._greedy = Greedy(self.network, tells=False).eval()
         self._loss = DQNLoss(
             self._greedy, loss_function=loss, double_dqn=double, action_space="categorical"
