@@ -5,13 +5,14 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictModuleBase
-from torchrl.envs import Compose, RewardSum, TransformedEnv
+from torchrl.envs import Compose, RewardSum, Transform, TransformedEnv
 
 from marl_clean import keys
 from marl_clean.agent.base import Agent
 from marl_clean.checkpoint import fit_weights, load_weights
-from marl_clean.compose import checked
+from marl_clean.compose import checked, plays_houses
 from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses, draw_bank, draw_houses, split_seeds
 from marl_clean.planner.base import Planner
 from marl_clean.schema import instantiate
@@ -38,7 +39,7 @@ def make_env(
     never_stuck: bool = False,
     first_env: int = 0,
 ) -> TransformedEnv:
-    """Put env, topology, observation and reward together.
+    """Put env, topology, observation and reward together; for a task of others see `make_task`.
 
     Args:
         cfg: a composed config.
@@ -48,6 +49,8 @@ def make_env(
         never_stuck: without truncation when nothing new is cleaned, as evaluation plays.
         first_env: index of the first world; what is drawn in a world depends on its index.
     """
+    if not plays_houses(cfg):
+        return make_task(cfg, num_envs, first_env)
     topology = instantiate(cfg.topology)
     observation = instantiate(cfg.observation)
     changes: dict = {"stuck_after": None} if never_stuck else {}
@@ -64,10 +67,33 @@ def make_env(
         device=torch.device(cfg.device),
         **changes,
     )
-    episode_reward = RewardSum(in_keys=[keys.REWARD], out_keys=[keys.EPISODE_REWARD])
-    return TransformedEnv(
-        env, Compose(topology, observation, instantiate(cfg.reward), episode_reward)
+    return TransformedEnv(env, Compose(topology, observation, *payment(cfg)))
+
+
+def make_task(cfg: DictConfig, num_envs: int | None = None, first_env: int = 0) -> TransformedEnv:
+    """Put an env that has no houses and its reward together; it shows what it likes itself.
+
+    Raises:
+        BadInput: the topology needs positions, or the learner squares to turn.
+    """
+    if cfg.agent.get("augment"):
+        raise BadInput("agent.augment=true: turns squares, which env does not show; valid: false")
+    changes = {} if num_envs is None else {"num_envs": num_envs}
+    env = instantiate(
+        cfg.env,
+        among=instantiate(cfg.topology).among,
+        first_env=first_env,
+        seed=cfg.seed,
+        device=torch.device(cfg.device),
+        **changes,
     )
+    return TransformedEnv(env, Compose(*payment(cfg)))
+
+
+def payment(cfg: DictConfig) -> list[Transform]:
+    """Build what turns own rewards into what the robots are paid, and sums it up."""
+    total = RewardSum(in_keys=[keys.REWARD], out_keys=[keys.EPISODE_REWARD])
+    return [instantiate(cfg.reward), total]
 
 
 def make_planner(cfg: DictConfig, env: TransformedEnv) -> Planner:
@@ -101,6 +127,7 @@ def load_policy(folder: Path) -> TensorDictModuleBase:
         BadInput: the run has no whole weights yet, or they do not fit its config.
     """
     cfg = checked(load_config(folder))
-    agent = make_agent(cfg, make_env(cfg, held_out_houses(cfg, "validation", 1), num_envs=1))
+    houses = held_out_houses(cfg, "validation", 1) if plays_houses(cfg) else None
+    agent = make_agent(cfg, make_env(cfg, houses, num_envs=1))
     fit_weights(agent.network, load_weights(folder).tree, folder)
     return agent.policy()

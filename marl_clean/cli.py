@@ -64,7 +64,7 @@ def watch(arguments: argparse.Namespace) -> int:
     """play one house in the terminal with checkpoint=RUN or planner=NAME"""
     from marl_clean.stored import compose_for_policy
 
-    config = _checked(compose_for_policy(arguments.settings))
+    config = _in_houses(compose_for_policy(arguments.settings))
     from marl_clean import watch as command
 
     command.main(config)
@@ -77,7 +77,7 @@ def figure(arguments: argparse.Namespace) -> int:
 
     if "=" in arguments.name:
         raise BadInput(f"figure: {arguments.name!r} is a setting; name a figure before it")
-    config = _checked(compose_for_policy(arguments.settings))
+    config = _in_houses(compose_for_policy(arguments.settings))
     from marl_clean import figure as command
 
     command.main(arguments.name, config)
@@ -96,7 +96,7 @@ def benchmark(arguments: argparse.Namespace) -> int:
     """measure speed, into runs/benchmark.json"""
     from marl_clean.compose import compose_config
 
-    config = _checked(compose_config(arguments.settings))
+    config = _in_houses(compose_config(arguments.settings))
     from marl_clean import benchmark as command
 
     command.main(config)
@@ -212,6 +212,13 @@ def _checked(config: "DictConfig") -> "DictConfig":
     check_house(config)
     check_device(config.device)
     return config
+
+
+def _in_houses(config: "DictConfig") -> "DictConfig":
+    from marl_clean.checks import check_shows_houses
+
+    check_shows_houses(config)
+    return _checked(config)
 
 
 def _terminate(signum: int, frame: FrameType | None) -> NoReturn:
