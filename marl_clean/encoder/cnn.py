@@ -51,7 +51,7 @@ class Cnn(nn.Module):
         channels_last: memory format of the convolutions; faster on a CPU, the same result.
 
     Raises:
-        BadInput: lists of different lengths, or a square too small for the convolutions.
+        BadInput: lists of different lengths, or what is seen no square, or one too small.
     """
 
     def __init__(
@@ -67,6 +67,8 @@ class Cnn(nn.Module):
         channels_last: bool,
     ) -> None:
         super().__init__()
+        if len(observation_shape) != 3:
+            raise BadInput("encoder=cnn: looks at squares, not at a vector; valid: encoder=mlp")
         if len(channels) != len(strides):
             raise BadInput(
                 f"encoder.strides: {len(strides)} strides for {len(channels)} convolutions;"
