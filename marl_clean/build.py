@@ -5,12 +5,12 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictModuleBase
-from torchrl.envs import Compose, RewardSum, TransformedEnv
+from torchrl.envs import Compose, RewardSum, Transform, TransformedEnv
 
 from marl_clean import keys
 from marl_clean.agent.base import Agent
 from marl_clean.checkpoint import fit_weights, load_weights
-from marl_clean.compose import checked
+from marl_clean.compose import checked, plays_houses
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.fitting import check_fit
 from marl_clean.house.base import Houses, draw_bank, draw_houses, split_seeds
@@ -39,7 +39,7 @@ def make_env(
     never_stuck: bool = False,
     first_env: int = 0,
 ) -> TransformedEnv:
-    """Put env, topology, observation and reward together.
+    """Put env, topology, observation and reward together; for a task of others see `make_task`.
 
     Args:
         cfg: a composed config.
@@ -49,6 +49,8 @@ def make_env(
         never_stuck: without truncation when nothing new is cleaned, as evaluation plays.
         first_env: index of the first world; what is drawn in a world depends on its index.
     """
+    if not plays_houses(cfg):
+        return make_task(cfg, num_envs, first_env)
     topology = instantiate(cfg.topology)
     observation = instantiate(cfg.observation)
     changes: dict = {"stuck_after": None} if never_stuck else {}
@@ -65,10 +67,31 @@ def make_env(
         device=torch.device(cfg.device),
         **changes,
     )
-    episode_reward = RewardSum(in_keys=[keys.REWARD], out_keys=[keys.EPISODE_REWARD])
-    return TransformedEnv(
-        env, Compose(topology, observation, instantiate(cfg.reward), episode_reward)
+    return TransformedEnv(env, Compose(topology, observation, *payment(cfg)))
+
+
+def make_task(cfg: DictConfig, num_envs: int | None = None, first_env: int = 0) -> TransformedEnv:
+    """Put an env that has no houses and its reward together; it shows what it likes itself.
+
+    Raises:
+        BadInput: the topology needs positions.
+    """
+    changes = {} if num_envs is None else {"num_envs": num_envs}
+    env = instantiate(
+        cfg.env,
+        among=instantiate(cfg.topology).among,
+        first_env=first_env,
+        seed=cfg.seed,
+        device=torch.device(cfg.device),
+        **changes,
     )
+    return TransformedEnv(env, Compose(*payment(cfg)))
+
+
+def payment(cfg: DictConfig) -> list[Transform]:
+    """Build what turns own rewards into what the robots are paid, and sums it up."""
+    total = RewardSum(in_keys=[keys.REWARD], out_keys=[keys.EPISODE_REWARD])
+    return [instantiate(cfg.reward), total]
 
 
 def make_planner(cfg: DictConfig, env: TransformedEnv) -> Planner:
@@ -91,7 +114,12 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     encoder = instantiate(cfg.encoder, observation_shape=seen)
     comm = instantiate(cfg.comm, in_features=encoder.out_features)
     return instantiate(
-        cfg.agent, encoder=encoder, comm=comm, n_agents=cfg.env.n_agents, device=cfg.device
+        cfg.agent,
+        encoder=encoder,
+        comm=comm,
+        n_agents=env.base_env.n_agents,
+        num_actions=env.full_action_spec[keys.ACTION].n,
+        device=cfg.device,
     )
 
 
@@ -102,6 +130,7 @@ def load_policy(folder: Path) -> TensorDictModuleBase:
         BadInput: the run has no whole weights yet, or they do not fit its config.
     """
     cfg = checked(load_config(folder))
-    agent = make_agent(cfg, make_env(cfg, held_out_houses(cfg, "validation", 1), num_envs=1))
+    houses = held_out_houses(cfg, "validation", 1) if plays_houses(cfg) else None
+    agent = make_agent(cfg, make_env(cfg, houses, num_envs=1))
     fit_weights(agent.network, load_weights(folder).tree, folder)
     return agent.policy()

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from marl_clean.compose import plays_houses
 from marl_clean.errors import BadInput
 from marl_clean.house.base import check_largest, draw_houses, split_seeds
 from marl_clean.house.floorplan import FloorPlan
@@ -14,18 +15,27 @@ def check_house(config: DictConfig) -> None:
     """Draw one house as training and evaluation will.
 
     Raises BadInput for a plan that cannot be read, has no free cell or fewer than robots, and
-    for sizes that allow no house, or larger ones than the observation has room for.
+    for sizes that allow no house, or larger ones than the observation has room for. Does
+    nothing where there are no houses.
     """
+    if not plays_houses(config):
+        return
     house = instantiate(config.house)
     houses = draw_houses(house, split_seeds("test", 1), config.env.n_agents)
     sides = [config.house.get(key, [0])[-1] for key in ("rows", "cols")]  # others may be larger
     _check_sees(config, *map(max, zip(sides, houses.free.shape[1:], strict=True)))
 
 
+def check_shows_houses(config: DictConfig) -> None:
+    """Raises BadInput where a command that shows houses is given a config without them."""
+    if not plays_houses(config):
+        raise BadInput("env: a task of others has no houses, which this command shows")
+
+
 def check_plans(config: DictConfig) -> None:
     """Raises BadInput for a plan of `evaluation.plans` that cannot be read, holds no robots, or
     is larger than the observation has room for."""
-    for path in config.evaluation.plans:
+    for path in config.evaluation.plans if plays_houses(config) else ():
         try:
             houses = draw_houses(FloorPlan(path), [], config.env.n_agents)
             _check_sees(config, *houses.free.shape[1:])

@@ -66,7 +66,7 @@ def watch(arguments: argparse.Namespace) -> int:
     """play one house in the terminal with checkpoint=RUN or planner=NAME"""
     from marl_clean.stored import compose_for_policy
 
-    config = _checked(compose_for_policy(arguments.settings))
+    config = _in_houses(compose_for_policy(arguments.settings))
     from marl_clean import watch as command
 
     command.main(config)
@@ -84,7 +84,7 @@ def figure(arguments: argparse.Namespace) -> int:
     if arguments.name in COMPARISONS:
         comparison.main(arguments.name, arguments.settings)
         return 0
-    config = _checked(compose_for_policy(arguments.settings))
+    config = _in_houses(compose_for_policy(arguments.settings))
     from marl_clean import figure as command
 
     command.main(arguments.name, config)
@@ -104,7 +104,7 @@ def benchmark(arguments: argparse.Namespace) -> int:
     from marl_clean.checks import check_square_view
     from marl_clean.compose import compose_config
 
-    config = _checked(compose_config(arguments.settings))
+    config = _in_houses(compose_config(arguments.settings))
     check_square_view(config, "benchmark")
     from marl_clean import benchmark as command
 
@@ -221,6 +221,13 @@ def _checked(config: "DictConfig") -> "DictConfig":
     check_house(config)
     check_device(config.device)
     return config
+
+
+def _in_houses(config: "DictConfig") -> "DictConfig":
+    from marl_clean.checks import check_shows_houses
+
+    check_shows_houses(config)
+    return _checked(config)
 
 
 def _terminate(signum: int, frame: FrameType | None) -> NoReturn:

@@ -74,6 +74,11 @@ def sweep_jobs(parsed: Sequence[Override]) -> list[list[str]]:
     return [list(job) for job in product(*alternatives.values())]
 
 
+def plays_houses(config: DictConfig) -> bool:
+    """Whether the config's env is played in houses, or is a task of others that has none."""
+    return schema.takes(config.env._target_, "houses")
+
+
 def config_hash(config: DictConfig) -> str:
     """sha256 over sorted compact JSON of what decides a run's result."""
     content = {

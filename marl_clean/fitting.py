@@ -15,9 +15,12 @@ def check_fit(config: DictConfig) -> None:
     """Raises BadInput when two levels do not go together.
 
     A class may say in `fits` which levels of other rooms it goes with; an encoder `takes` the
-    form of observation that another room's level `gives`; only squares can be turned.
+    form of observation that the observation (or a task of others) `gives`; only squares can be
+    turned.
     """
-    targets = {room: section._target_ for room, section in config.items() if _is_level(section)}
+    targets = {
+        room: str(section._target_) for room, section in config.items() if _is_level(section)
+    }
     for room, target in targets.items():
         for other, valid in (constant(target, "fits") or {}).items():
             if (level := _level(targets[other])) not in valid:

@@ -21,7 +21,7 @@ def duel(value: Float[Tensor, "*batch one_and_actions"]) -> Float[Tensor, "*batc
 
 
 class QNetwork(nn.Module):
-    """Values of the four actions of every robot: encoder, communication, head (paper figure 4).
+    """Values of every robot's actions: encoder, communication, head (paper figure 4).
 
         plain:   Q(o, a) = head(h')_a
         dueling: Q(o, a) = V(h') + A(h')_a - mean over a' of A(h')_a'      (arXiv 1511.06581)
@@ -30,13 +30,20 @@ class QNetwork(nn.Module):
     encoder's arithmetic, where the time goes; messages and values stay float32.
     """
 
-    def __init__(self, encoder: nn.Module, comm: Comm, dueling: bool, precision: Precision) -> None:
+    def __init__(
+        self,
+        encoder: nn.Module,
+        comm: Comm,
+        dueling: bool,
+        precision: Precision,
+        num_actions: int = NUM_ACTIONS,
+    ) -> None:
         super().__init__()
         self.encoder = encoder
         self.comm = comm
         self.dueling = dueling
         self.reduced = precision == "bfloat16"
-        self.head = nn.Linear(comm.out_features, NUM_ACTIONS + dueling)
+        self.head = nn.Linear(comm.out_features, num_actions + dueling)
 
     def forward(
         self,
@@ -69,7 +76,13 @@ class JointQNetwork(nn.Module):
     """
 
     def __init__(
-        self, encoder: nn.Module, width: int, n_agents: int, dueling: bool, precision: Precision
+        self,
+        encoder: nn.Module,
+        width: int,
+        n_agents: int,
+        outputs: int,
+        dueling: bool,
+        precision: Precision,
     ) -> None:
         super().__init__()
         self.encoder = encoder
@@ -77,7 +90,7 @@ class JointQNetwork(nn.Module):
         self.reduced = precision == "bfloat16"
         hidden = 2 * width  # as much as two robots' features, whatever their number
         self.join = nn.Sequential(nn.Linear(n_agents * width, hidden), nn.ReLU())
-        self.head = nn.Linear(hidden, NUM_ACTIONS**n_agents + dueling)
+        self.head = nn.Linear(hidden, outputs + dueling)
 
     def forward(self, observation: Float[Tensor, "..."]) -> Float[Tensor, "*batch joint_action"]:
         with torch.autocast(observation.device.type, torch.bfloat16, enabled=self.reduced):
@@ -86,15 +99,19 @@ class JointQNetwork(nn.Module):
         return duel(value) if self.dueling else value
 
 
-def encode_joint(action: Int[Tensor, "*batch agent"]) -> Int[Tensor, "*batch"]:
-    """Number a joint action in base 4, robot 0 the lowest digit."""
-    return (action * _digits(action.shape[-1], action.device)).sum(-1)
+def encode_joint(
+    action: Int[Tensor, "*batch agent"], num_actions: int = NUM_ACTIONS
+) -> Int[Tensor, "*batch"]:
+    """Number a joint action in base `num_actions`, robot 0 the lowest digit."""
+    return (action * _digits(action.shape[-1], num_actions, action.device)).sum(-1)
 
 
-def decode_joint(joint: Int[Tensor, "*batch"], n_agents: int) -> Int[Tensor, "*batch agent"]:
+def decode_joint(
+    joint: Int[Tensor, "*batch"], n_agents: int, num_actions: int = NUM_ACTIONS
+) -> Int[Tensor, "*batch agent"]:
     """Return every robot's action of a numbered joint action; undoes `encode_joint`."""
-    return joint.unsqueeze(-1) // _digits(n_agents, joint.device) % NUM_ACTIONS
+    return joint.unsqueeze(-1) // _digits(n_agents, num_actions, joint.device) % num_actions
 
 
-def _digits(n_agents: int, device: torch.device) -> Int[Tensor, " agent"]:
-    return NUM_ACTIONS ** torch.arange(n_agents, device=device)
+def _digits(n_agents: int, num_actions: int, device: torch.device) -> Int[Tensor, " agent"]:
+    return num_actions ** torch.arange(n_agents, device=device)

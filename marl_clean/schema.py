@@ -78,6 +78,16 @@ def constant(target: str, name: str) -> Any:
     return None
 
 
+def takes(target: str, part: str) -> bool:
+    """Whether the constructor of `target` has a parameter of this name, for a key or in code."""
+    constructors = (
+        item.args
+        for item in definition(target).body
+        if isinstance(item, ast.FunctionDef) and item.name == "__init__"
+    )
+    return any(part == a.arg for args in constructors for a in (*args.args, *args.kwonlyargs))
+
+
 def problems_of_level(section: Mapping[str, Any], key: str, room: str) -> Iterator[Problem]:
     """Everything wrong with one level's section, such as `comm` or `logger.csv`."""
     target = section.get("_target_")

@@ -130,6 +130,16 @@ def _device(value: str) -> str:
     return value
 
 
+def _task(value: str) -> str:
+    if not re.fullmatch(r"(mpe2|pettingzoo\.[a-z]+)\.[a-z][a-z0-9_]*_v[0-9]+", value):
+        valid = "mpe2.simple_spread_v3 or pettingzoo.sisl.pursuit_v5"
+        raise ValueError(f"must name a task of mpe2 or pettingzoo, such as {valid}, not {value!r}")
+    return value
+
+
+# Nothing else is ever imported: a config may come from a stranger.
+Task = Annotated[str, AfterValidator(_task)]
+Options = dict[str, int | float | bool]
 FolderName = Annotated[str, AfterValidator(_folder_name)]
 Device = Annotated[str, AfterValidator(_device)]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]

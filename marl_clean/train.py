@@ -8,7 +8,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from marl_clean import build, files
-from marl_clean.compose import compose_config
+from marl_clean.compose import compose_config, plays_houses
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.evaluator import measure_beside_planners, measure_planner, validate
 from marl_clean.evaluation.records import MEASURED, Entry, read_entries, write_entries
@@ -52,7 +52,8 @@ def train(cfg: DictConfig, folder: Path) -> Outcome:
     torch.manual_seed(cfg.seed)
     env = build.make_env(cfg)
     agent = build.make_agent(cfg, env)
-    trainer = instantiate(cfg.trainer)
+    only = {} if plays_houses(cfg) else {"select_by": "return"}  # all that is measured there
+    trainer = instantiate(cfg.trainer, **only)
     trainer.check(env)
     loggers = [instantiate(section, folder=folder) for section in cfg.logger.values()]
     try:
@@ -69,7 +70,7 @@ def measure_all(cfg: DictConfig, folder: Path) -> list[Entry]:
     cfg.evaluation.house_set = "test"  # validation houses have chosen the weights
     policy = build.load_policy(folder).to(cfg.device)
     entries = measure_beside_planners(cfg, policy, cfg.name)
-    for plan in cfg.evaluation.plans:
+    for plan in cfg.evaluation.plans if plays_houses(cfg) else ():
         entries += measure_beside_planners(on_plan(cfg, plan), policy, cfg.name)
     return entries
 
@@ -83,11 +84,14 @@ def on_plan(cfg: DictConfig, plan: str) -> DictConfig:
 
 
 def draw(cfg: DictConfig, folder: Path) -> None:
-    """Draw what is not drawn yet: the learning curve beside nearest_unknown, and an episode."""
+    """Draw what is not drawn yet: the learning curve beside nearest_unknown, and an episode.
+
+    Of a task of others the curve alone.
+    """
     metrics, curve, replay = (folder / name for name in ("metrics.csv", "curve.png", "replay.gif"))
     if metrics.is_file() and not curve.is_file():
-        draw_curve(metrics, curve, planner_means(cfg))
-    if not replay.is_file():
+        draw_curve(metrics, curve, planner_means(cfg) if plays_houses(cfg) else None)
+    if plays_houses(cfg) and not replay.is_file():
         policy = build.load_policy(folder).to(cfg.device)
         make_replay(cfg, lambda env: policy, replay, cfg.evaluation.epsilon)
 

@@ -15,10 +15,11 @@ from torchrl.objectives.utils import TargetNetUpdater
 
 from marl_clean import keys, symmetry
 from marl_clean.comm.base import Comm
+from marl_clean.networks import NUM_ACTIONS
 from marl_clean.settings import PositiveFloat, PositiveInt, PositiveShare, Precision, Probability
 
 Count = int
-"""Of robots; handed over by whoever builds the learner, so never a config key."""
+"""Of robots or actions; handed over by whoever builds the learner, so never a config key."""
 
 
 class Agent(ABC):
@@ -105,6 +106,7 @@ class DeepQ(Agent):
         precision: the encoder's arithmetic; bfloat16 is faster.
         augment: learn from each frame turned or mirrored, the same way for all its robots.
         n_agents: robots in a world.
+        num_actions: actions of a robot.
         device: where the network lives.
     """
 
@@ -132,6 +134,7 @@ class DeepQ(Agent):
         precision: Precision,
         augment: bool,
         n_agents: Count = 2,
+        num_actions: Count = NUM_ACTIONS,
         device: torch.device | str = "cpu",
     ) -> None:
         self.gamma, self.n_steps = gamma, n_steps
@@ -139,9 +142,8 @@ class DeepQ(Agent):
         self.lr, self.lr_end = lr, lr_end
         self.max_grad_norm = max_grad_norm
         self.augment = augment
-        self.n_agents = n_agents
-        network = self.make_network(encoder, comm, n_agents, dueling, precision)
-        self.network = network.to(device).eval()
+        self.n_agents, self.num_actions = n_agents, num_actions
+        self.network = self.make_network(encoder, comm, dueling, precision).to(device).eval()
         self._greedy = self.make_greedy(tells=False).eval()
         self._loss = DQNLoss(
             self._greedy, loss_function=loss, double_dqn=double, action_space="categorical"
@@ -166,9 +168,9 @@ class DeepQ(Agent):
 
     @abstractmethod
     def make_network(
-        self, encoder: nn.Module, comm: Comm, n_agents: int, dueling: bool, precision: Precision
+        self, encoder: nn.Module, comm: Comm, dueling: bool, precision: Precision
     ) -> nn.Module:
-        """Return the network from `sees` to action values."""
+        """Return the network from `sees` to the values of `num_actions` or their combinations."""
 
     @abstractmethod
     def make_greedy(self, tells: bool) -> TensorDictModuleBase:

@@ -11,18 +11,18 @@ from marl_clean import keys
 from marl_clean.agent.base import DeepQ
 from marl_clean.comm.base import Comm
 from marl_clean.errors import BadInput
-from marl_clean.networks import NUM_ACTIONS, JointQNetwork, decode_joint, encode_joint
+from marl_clean.networks import JointQNetwork, decode_joint, encode_joint
 from marl_clean.settings import Precision
 
-MOST_ROBOTS = 5
+MOST_OUTPUTS = 4**5
 
 
 class GreedyJoint(TensorDictModuleBase):
     """The best of all joint actions, and every robot's part in it."""
 
-    def __init__(self, network: JointQNetwork, n_agents: int) -> None:
+    def __init__(self, network: JointQNetwork, n_agents: int, num_actions: int) -> None:
         super().__init__()
-        self.network, self.n_agents = network, n_agents
+        self.network, self.n_agents, self.num_actions = network, n_agents, num_actions
         self.in_keys = [keys.OBSERVATION]
         self.out_keys = [
             keys.JOINT_ACTION,
@@ -38,7 +38,7 @@ class GreedyJoint(TensorDictModuleBase):
         tensordict.set(keys.JOINT_ACTION_VALUE, value)
         tensordict.set(keys.CHOSEN_JOINT_ACTION_VALUE, chosen)
         tensordict.set(keys.JOINT_ACTION, joint)
-        tensordict.set(keys.ACTION, decode_joint(joint, self.n_agents))
+        tensordict.set(keys.ACTION, decode_joint(joint, self.n_agents, self.num_actions))
         return tensordict
 
 
@@ -52,7 +52,8 @@ class CentralDqn(DeepQ):
     probability epsilon. There is nobody to talk to, so `comm=none`. All else as in `DeepQ`.
 
     Raises:
-        BadInput: more than 5 robots; 4^6 = 4,096 outputs learn nothing in a sensible time.
+        BadInput: more than 1,024 joint actions, those of 5 robots; 4,096 would learn nothing in a
+            sensible time.
     """
 
     fits = {"comm": ["none"], "reward": ["team"]}
@@ -69,25 +70,27 @@ class CentralDqn(DeepQ):
     }
 
     def make_network(
-        self, encoder: nn.Module, comm: Comm, n_agents: int, dueling: bool, precision: Precision
+        self, encoder: nn.Module, comm: Comm, dueling: bool, precision: Precision
     ) -> JointQNetwork:
-        if n_agents > MOST_ROBOTS:
+        outputs = self.num_actions**self.n_agents
+        if outputs > MOST_OUTPUTS:
             raise BadInput(
-                f"env.n_agents={n_agents}: agent=central_dqn has 4^n outputs and takes at most"
-                f" {MOST_ROBOTS} robots; use agent=iql for more"
+                f"env.n_agents={self.n_agents}: agent=central_dqn has {self.num_actions}^n outputs"
+                f" and takes at most {MOST_OUTPUTS:,} (5 robots of 4 actions); use agent=iql"
             )
-        return JointQNetwork(encoder, comm.out_features, n_agents, dueling, precision)
+        width = comm.out_features
+        return JointQNetwork(encoder, width, self.n_agents, outputs, dueling, precision)
 
     def make_greedy(self, tells: bool) -> GreedyJoint:
-        return GreedyJoint(self.network, self.n_agents)
+        return GreedyJoint(self.network, self.n_agents, self.num_actions)
 
     def exploration(self, action_spec: Composite) -> TensorDictSequential:
         """Return the epsilon-greedy policy: a random action is a random joint action."""
-        joint = Categorical(NUM_ACTIONS**self.n_agents, shape=action_spec.shape)
+        joint = Categorical(self.num_actions**self.n_agents, shape=action_spec.shape)
         spec = Composite({keys.JOINT_ACTION: joint}, shape=action_spec.shape)
         coin = self.coin(spec.to(action_spec.device), keys.JOINT_ACTION)
         decode = TensorDictModule(
-            lambda chosen: decode_joint(chosen, self.n_agents),
+            lambda chosen: decode_joint(chosen, self.n_agents, self.num_actions),
             in_keys=[keys.JOINT_ACTION],
             out_keys=[keys.ACTION],
         )
@@ -95,7 +98,7 @@ class CentralDqn(DeepQ):
 
     def for_loss(self, frames: TensorDictBase) -> None:
         """Number the joint actions; of the team's reward, the same for all, one is enough."""
-        frames[keys.JOINT_ACTION] = encode_joint(frames[keys.ACTION])
+        frames[keys.JOINT_ACTION] = encode_joint(frames[keys.ACTION], self.num_actions)
         frames["next", "reward"] = frames["next", keys.REWARD][..., 0, :]
         steps = frames[keys.STEPS_TO_NEXT_OBS]
         frames[keys.STEPS_TO_NEXT_OBS] = steps.unsqueeze(-1)

@@ -66,9 +66,9 @@ class Iql(DeepQ):
     }
 
     def make_network(
-        self, encoder: nn.Module, comm: Comm, n_agents: int, dueling: bool, precision: Precision
+        self, encoder: nn.Module, comm: Comm, dueling: bool, precision: Precision
     ) -> QNetwork:
-        return QNetwork(encoder, comm, dueling, precision)
+        return QNetwork(encoder, comm, dueling, precision, self.num_actions)
 
     def make_greedy(self, tells: bool) -> Greedy:
         return Greedy(self.network, tells)

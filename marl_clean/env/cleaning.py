@@ -9,9 +9,9 @@ import torch
 from jaxtyping import Bool, UInt8
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.envs import EnvBase
 
 from marl_clean import keys
+from marl_clean.env.base import Played
 from marl_clean.env.houses import house_tensors
 from marl_clean.env.scene import scene_of
 from marl_clean.env.specs import REWARD_TERMS, make_specs
@@ -42,7 +42,7 @@ from marl_clean.world.state import State
 Contact = Callable[[State, Rules], Bool[Tensor, "env agent agent"]]
 
 
-class CleaningEnv(EnvBase):
+class CleaningEnv(Played):
     """Blind robots that clean unknown houses together, many houses at once.
 
     ## Description
@@ -306,6 +306,10 @@ class CleaningEnv(EnvBase):
         self.state = State(**{name: value.clone() for name, value in tensors.items()})
         self.seed_in_use = int(state_dict["seed"])
         self._started = bool(state_dict["started"])
+
+    def progress(self) -> dict[str, float]:
+        """Return the share of free cells cleaned so far, mean over the worlds now played."""
+        return {"coverage": float((self.state.num_visited.double() / self.state.num_free).mean())}
 
     def render(self, env_index: int = 0, cell_pixels: int = 24) -> UInt8[np.ndarray, "h w 3"]:
         """Return one world as an RGB frame: the truth beside what the robots know of it."""

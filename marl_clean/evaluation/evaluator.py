@@ -15,8 +15,10 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from marl_clean import build
-from marl_clean.compose import compose_config, config_hash
+from marl_clean.compose import compose_config, config_hash, plays_houses
 from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.errors import BadInput
+from marl_clean.evaluation.episodes import RANDOM, measure_return
 from marl_clean.evaluation.metrics import Record, Recorder
 from marl_clean.evaluation.records import Entry, make_entry, means
 from marl_clean.house.base import Houses
@@ -87,7 +89,13 @@ def held_out_env(
 
 
 def validate(cfg: DictConfig, policy: nn.Module) -> dict[str, float]:
-    """The means by which training chooses its weights: on validation houses, as in tests."""
+    """The means by which training chooses its weights: on validation houses, as in tests.
+
+    Of a task of others: its return.
+    """
+    if not plays_houses(cfg):
+        entry = measure_return(cfg, policy, cfg.name, START_SEEDS["validation"])
+        return {"return": entry["summary"]["return"]["mean"]}
     section = cfg.evaluation
     records = evaluate(
         cfg,
@@ -115,13 +123,25 @@ def measure(cfg: DictConfig, policy_for: PolicyFor, name: str, *, epsilon: float
 
 
 def measure_planner(cfg: DictConfig) -> Entry:
-    """The entry of `cfg.planner`, under the name it gives itself; planners do not explore."""
+    """The entry of `cfg.planner`, under the name it gives itself; planners do not explore.
+
+    Raises BadInput where there are no houses to plan in.
+    """
+    if not plays_houses(cfg):
+        raise BadInput("checkpoint=null: planners need houses, which env has none of; give a run")
     name = instantiate(cfg.planner).label
     return measure(cfg, lambda env: build.make_planner(cfg, env), name)
 
 
 def measure_beside_planners(cfg: DictConfig, policy: nn.Module, name: str) -> list[Entry]:
-    """A learned policy, then random and nearest_unknown (none, greedy) on the same houses."""
+    """A learned policy, then random and nearest_unknown (none, greedy) on the same houses.
+
+    On a task of others, random alone.
+    """
+    if not plays_houses(cfg):
+        seed = START_SEEDS[cfg.evaluation.house_set]
+        both: tuple[tuple[nn.Module | None, str], ...] = ((policy, name), (None, RANDOM))
+        return [measure_return(cfg, one, called, seed) for one, called in both]
     entries = [measure(cfg, lambda env: policy, name, epsilon=cfg.evaluation.epsilon)]
     for overrides in YARDSTICKS:
         rival = cfg.copy()

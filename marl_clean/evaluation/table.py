@@ -26,8 +26,13 @@ def output() -> Console:
 
 
 def make_table(entries: Sequence[Entry]) -> Table:
-    """Rows in the order given; each is compared with the yardstick on its own houses."""
+    """Rows in the order given; each is compared with the yardstick on its own houses.
+
+    Of a task of others, returns.
+    """
     first = entries[0]
+    if "T_100" not in first["summary"]:
+        return make_table_of_returns(entries)
     count = min(
         len(entry["houses"]) for entry in entries
     )  # several seeds played them several times
@@ -47,6 +52,22 @@ def make_table(entries: Sequence[Entry]) -> Table:
         yardstick = next((other for other in entries if is_yardstick(other, entry)), None)
         cells = [entry["policy"], *row_of(entry, yardstick)]
         table.add_row(*([entry["house_set"], *cells] if several else cells))
+    return table
+
+
+def make_table_of_returns(entries: Sequence[Entry]) -> Table:
+    """Rows in the order given, for a task that knows nothing of cells."""
+    first = entries[0]
+    count = min(len(entry["houses"]) for entry in entries)
+    table = Table(
+        title=f"{count} episodes of {first['house_set']}, {first['n_agents']} agents",
+        caption="Mean return, the sum over agents, with 95 % interval.",
+        box=box.SIMPLE_HEAD,
+    )
+    for title in ("policy", "return"):
+        table.add_column(title, no_wrap=True)
+    for entry in entries:
+        table.add_row(entry["policy"], interval(entry["summary"]["return"]))
     return table
 
 

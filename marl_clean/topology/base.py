@@ -10,6 +10,7 @@ from torchrl.data import Binary, Bounded, TensorSpec
 
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.errors import BadInput
 from marl_clean.transform import Compile, WorldTransform
 from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import distance_rank
@@ -26,6 +27,17 @@ class Topology(WorldTransform):
     @abstractmethod
     def contact(self, state: State, rules: Rules) -> Bool[Tensor, "env agent agent"]:
         """Tell which robots are in contact."""
+
+    def among(self, n_agents: int) -> Bool[Tensor, "agent agent"]:
+        """Tell who is in contact where nobody has a position.
+
+        Raises:
+            BadInput: contact depends on positions.
+        """
+        level = type(self).__module__.rpartition(".")[2]
+        raise BadInput(
+            f"topology={level}: needs positions, which env does not tell; valid: full, none"
+        )
 
     def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
         return {

@@ -1,5 +1,6 @@
 """`topology=full`."""
 
+import torch
 from jaxtyping import Bool
 from torch import Tensor
 
@@ -14,3 +15,6 @@ class Full(Topology):
 
     def contact(self, state: State, rules: Rules) -> Bool[Tensor, "env agent agent"]:
         return everyone(state.position)
+
+    def among(self, n_agents: int) -> Bool[Tensor, "agent agent"]:
+        return ~torch.eye(n_agents, dtype=torch.bool)

@@ -15,3 +15,6 @@ class Nobody(Topology):
 
     def contact(self, state: State, rules: Rules) -> Bool[Tensor, "env agent agent"]:
         return torch.zeros_like(everyone(state.position))
+
+    def among(self, n_agents: int) -> Bool[Tensor, "agent agent"]:
+        return torch.zeros(n_agents, n_agents, dtype=torch.bool)

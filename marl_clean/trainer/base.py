@@ -117,6 +117,10 @@ class CarriedCollector(Collector):
     def restore(self, state: TensorDictBase) -> None:
         self._carrier = state
 
+    def begin_anew(self) -> None:
+        """Leave the episodes that are being played, and begin others."""
+        self._carrier.update(self.env.reset())
+
 
 def replay_state(replay: TensorDictReplayBuffer) -> dict[str, Any]:
     """Return what a replay buffer holds, and where it writes next."""

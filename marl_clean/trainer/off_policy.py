@@ -1,5 +1,6 @@
 """The off-policy loop: play, remember, learn; and now and then log, evaluate, save."""
 
+import logging
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -33,6 +34,7 @@ from marl_clean.trainer.base import (
 )
 
 Evaluate = Callable[[TensorDictModuleBase], Mapping[str, float]]
+log = logging.getLogger(__name__)
 COUNTERS = ("frames", "updates", "logged", "evaluated", "saved")
 
 
@@ -42,7 +44,8 @@ class OffPolicy:
     Every block of frames: play with exploration, close the n-step windows, remember them, learn
     from `replay_ratio` remembered frames for every new one. At fixed frames: log, evaluate and
     keep the best weights, save the state. The same call goes on from the newest state, exactly:
-    on a CPU with one thread its weights and rows are those of the uninterrupted run.
+    on a CPU with one thread its weights and rows are those of the uninterrupted run. Only where the
+    env cannot be saved in the middle of its episodes (`goes_on_exactly`) does it begin new ones.
 
     Args:
         total_frames: the run's length; a frame is one step of one world with all its robots.
@@ -212,7 +215,7 @@ class _Run:
             row |= self.tally.means() | {
                 "epsilon": self.agent.epsilon,
                 "updates": self.updates,
-                "coverage": self._coverage(),
+                **self.env.base_env.progress(),
                 f"{CLOCK}frames_per_second": progress.frames_per_second(self.frames),
             }
             for logger in self.loggers:
@@ -236,11 +239,6 @@ class _Run:
             if not weight.isfinite().all():
                 raise Diverged(f"update {self.updates}: weight {name} is NaN or infinite")
         return {name: weight.clone() for name, weight in weights.items()}
-
-    def _coverage(self) -> float:
-        """Return the share of free cells cleaned so far, mean over the worlds now played."""
-        state = self.env.base_env.state
-        return float((state.num_visited.double() / state.num_free).mean())
 
     def due(self, interval: int, last: int) -> bool:
         """Tell whether `interval` frames have been played since `last`."""
@@ -282,9 +280,13 @@ class _Run:
         self.best.found = state["best"]
         self.agent.load_state_dict(state["agent"])
         self.env.base_env.load_state_dict(state["env"])
-        self.collector.restore(state["carried"].to(device))
-        windows = state["windows"]
-        self.windows.restore(None if windows is None else windows.to(device))
+        if self.env.base_env.goes_on_exactly:
+            self.collector.restore(state["carried"].to(device))
+            windows = state["windows"]
+            self.windows.restore(None if windows is None else windows.to(device))
+        else:
+            log.warning("frame %d: goes on with new episodes; env cannot save its own", self.frames)
+            self.collector.begin_anew()
         restore_replay(self.replay, state["replay"])
         self.tally.restore(state["tally"])
         restore_random(state["random"], device)

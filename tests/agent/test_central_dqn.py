@@ -106,7 +106,7 @@ def test_updates_equal_plain_pytorch(double, n_agents):
 
 
 def test_six_robots_are_too_many():
-    with pytest.raises(BadInput, match=r"env.n_agents=6: .* at most 5 robots; use agent=iql"):
+    with pytest.raises(BadInput, match=r"env.n_agents=6: .* at most 1,024 .5 robots"):
         make("env.n_agents=6")
 
 

@@ -5,21 +5,20 @@ neighbour's code names. What it sees itself says nothing about what to do.
 """
 
 from collections import OrderedDict
-from types import SimpleNamespace
 
 import torch
 from tensordict import TensorDict
 from torchrl.data import Binary, Categorical, Composite, Unbounded
-from torchrl.envs import EnvBase
 
 from marl_clean import keys
+from marl_clean.env.base import Played
 
 SIDE = 9
 CELLS = ((1, 4), (4, 7), (7, 4), (4, 1))
 N_AGENTS = 2
 
 
-class Probe(EnvBase):
+class Probe(Played):
     """Episodes end after 5 steps, terminated in even worlds and truncated in odd ones."""
 
     batch_locked = True
@@ -56,9 +55,8 @@ class Probe(EnvBase):
     def base_env(self) -> "Probe":
         return self
 
-    @property
-    def state(self) -> SimpleNamespace:
-        return SimpleNamespace(num_visited=self.step_count, num_free=torch.tensor(5))
+    def progress(self) -> dict[str, float]:
+        return {"coverage": float(self.step_count.double().mean() / 5)}
 
     def _set_seed(self, seed: int | None) -> None:
         self.draw = torch.Generator().manual_seed(seed or 0)

@@ -1,0 +1,26 @@
+"""What training asks of every level of this room, beside TorchRL's EnvBase."""
+
+from typing import ClassVar
+
+from torchrl.envs import EnvBase
+
+
+class Played(EnvBase):
+    """A batch of `num_envs` worlds, each with the same `n_agents` robots.
+
+    It writes `("agents", "own_reward")`, what each robot earned itself; what it is paid is added
+    by `marl_clean.reward`. Its constructor is handed the houses to play in where it has a
+    parameter `houses`, and who may talk to whom otherwise.
+
+    Attributes:
+        goes_on_exactly: `load_state_dict` brings back the middle of an episode; otherwise an
+            interrupted run begins new episodes.
+    """
+
+    n_agents: int
+    num_envs: int
+    goes_on_exactly: ClassVar[bool] = True
+
+    def progress(self) -> dict[str, float]:
+        """Return what there is to tell of the worlds as they stand, for the log."""
+        return {}
