@@ -22,7 +22,8 @@ def check_fit(config: DictConfig) -> None:
         room: str(section._target_) for room, section in config.items() if _is_level(section)
     }
     for room, target in targets.items():
-        for other, valid in (constant(target, "fits") or {}).items():
+        fits: dict[str, list[str]] = constant(target, "fits") or {}
+        for other, valid in fits.items():
             if (level := _level(targets[other])) not in valid:
                 raise BadInput(
                     f"{other}={level}: does not fit {room}={_level(target)};"
