@@ -22,7 +22,8 @@ def steps_to_frontier(state: State, rules: Rules) -> Float[Tensor, "env map heig
     matrix = slice(ring, -ring or None)
     record = state.record[..., matrix, matrix]
     now = (state.step + 1).to(record.dtype).view(-1, 1, 1, 1)
-    own = inside_house(state.rows + 2, state.cols + 2, *record.shape[-2:], margin=0)
+    height, width = record.shape[-2:]
+    own = inside_house(state.rows + 2, state.cols + 2, height, width, margin=0)
     goals = (is_unknown(record) & own[:, None]) | is_known_dirty(record, now, rules)
     distance = walking_distance(is_known_free(record), goals).to(torch.float32)
     return torch.nn.functional.pad(distance, (ring,) * 4, value=float(UNREACHABLE))
