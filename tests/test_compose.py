@@ -204,6 +204,11 @@ def test_a_checkpoint_brings_its_config_and_settings_go_on_top(run: Path) -> Non
     assert compose_for_policy([f"checkpoint={run}"]).env.n_agents == 3
 
 
+def test_noise_on_what_is_seen_fits_any_weights(run: Path) -> None:
+    config = compose_for_policy(["checkpoint=mine", "observation.position_noise=0.1"])
+    assert config.observation.position_noise == 0.1
+
+
 @pytest.mark.parametrize(
     "override", ["observation.view_size=13", "comm=none", "comm.message_dim=3", "encoder.dropout=1"]
 )

@@ -25,7 +25,8 @@ class Pyramid(Crop):
     Shares, since an average of the map's codes would mix walls with dirt; they are what the
     encoder's `planes` makes of the crop, averaged, and pass it unchanged.
 
-    Costs (K 2^(scales - 1))^2 cells a robot, whatever the house.
+    Costs (K 2^(scales - 1))^2 cells a robot, whatever the house: with the defaults some 17 times
+    the crop's.
 
     Args:
         view_size: K, the side of every square, odd.

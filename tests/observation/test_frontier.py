@@ -5,17 +5,19 @@ from collections import deque
 import torch
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
 from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import step_mdp
 
 from marl_clean import keys
 from marl_clean.observation.frontier import Frontier
 from tests import reference
+from tests.observation.plain import believed
 from tests.world.play import env_of, start, topology_of
 from tests.world.strategies import Case, cases
 
 SIDE = 5
-STEPS = 8
+STEPS = 6
 
 
 def steps_to_frontier(world: reference.World, robot: int) -> dict[reference.Place, int]:
@@ -39,44 +41,62 @@ def steps_to_frontier(world: reference.World, robot: int) -> dict[reference.Plac
     return found
 
 
-def expected_plane(world: reference.World, robot: int) -> torch.Tensor:
+def expected_plane(
+    world: reference.World, robot: int, centre: reference.Place, side: int
+) -> torch.Tensor:
     distance = steps_to_frontier(world, robot)
-    row, col = world.positions[robot]
-    plane = torch.zeros(SIDE, SIDE)
+    row, col = centre
+    plane = torch.zeros(side, side)
     if (row, col) not in distance:
         return plane
     own = distance[row, col]
-    for r in range(SIDE):
-        for c in range(SIDE):
-            place = (row + r - SIDE // 2, col + c - SIDE // 2)
-            if not world.in_matrix(place):
-                continue  # compared inside the matrix only
-            nearer = (own - distance[place]) / SIDE if place in distance else -1.0
+    for r in range(side):
+        for c in range(side):
+            place = (row + r - side // 2, col + c - side // 2)
+            nearer = (own - distance[place]) / side if place in distance else -1.0
             plane[r, c] = min(1.0, max(-1.0, nearer))
     return plane
 
 
-@given(case=cases(max_agents=3))
+@given(
+    case=cases(max_agents=3),
+    side=st.sampled_from([1, 3, 5, 7]),
+    noise=st.sampled_from([0.0, 0.0, 0.5]),
+)
 @hypothesis_settings(max_examples=40, deadline=None)
-def test_the_plane_is_a_plain_searchs(case: Case) -> None:
-    base = env_of([case]).base_env
-    env = TransformedEnv(base, Compose(topology_of(case.settings), Frontier(SIDE)))
-    world = case.world()
-    tensordict = start(env, [case])
-    for actions in case.actions[:STEPS]:
-        plane = tensordict[keys.OBSERVATION][0, :, 1]
-        for robot, (row, col) in enumerate(world.positions):
-            reach = range(-(SIDE // 2), SIDE // 2 + 1)
-            inside = torch.tensor(
-                [[world.in_matrix((row + r, col + c)) for c in reach] for r in reach]
-            )
-            expected = expected_plane(world, robot)
-            torch.testing.assert_close(plane[robot][inside], expected[inside], atol=1e-6, rtol=0)
-        tensordict[keys.ACTION] = torch.tensor([actions])
+def test_the_plane_is_a_plain_searchs(case: Case, side: int, noise: float) -> None:
+    assert_plane([case], side, noise)
+
+
+@given(data=st.data())
+@hypothesis_settings(max_examples=10, deadline=None)
+def test_a_larger_house_beside_it_changes_no_plane(data: st.DataObject) -> None:
+    first = data.draw(cases(max_agents=2))
+    n_agents = len(first.starts)
+    same = cases(st.just(first.settings), n_agents).filter(lambda c: len(c.starts) == n_agents)
+    assert_plane([first, data.draw(same)], 7, 0.0)
+
+
+def assert_plane(drawn: list[Case], side: int, noise: float) -> None:
+    base = env_of(drawn).base_env
+    env = TransformedEnv(base, Compose(topology_of(drawn[0].settings), Frontier(side, noise)))
+    worlds = [case.world(index) for index, case in enumerate(drawn)]
+    playing = [True] * len(drawn)
+    tensordict = start(env, drawn)
+    for step in range(min(STEPS, *(len(case.actions) for case in drawn))):
+        for index, world in enumerate(worlds):
+            for robot in range(world.n_agents if playing[index] else 0):
+                centre = believed(world, robot, noise, index)
+                plane = tensordict[keys.OBSERVATION][index, robot, 1]
+                expected = expected_plane(world, robot, centre, side)
+                torch.testing.assert_close(plane, expected, atol=1e-6, rtol=0)
+        actions = [case.actions[step] for case in drawn]
+        tensordict[keys.ACTION] = torch.tensor(actions)
         tensordict = step_mdp(env.step(tensordict))
-        outcome = world.step(actions)
-        if outcome.terminated or outcome.truncated:
-            break
+        for index, world in enumerate(worlds):
+            if playing[index]:
+                outcome = world.step(actions[index])
+                playing[index] = not (outcome.terminated or outcome.truncated)
 
 
 def test_the_first_channel_is_the_crop() -> None:
