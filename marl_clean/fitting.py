@@ -15,32 +15,29 @@ def check_fit(config: DictConfig) -> None:
     """Raises BadInput when two levels do not go together.
 
     A class may say in `fits` which levels of other rooms it goes with; an encoder `takes` the
-    form of observation that the observation (or a task of others) `gives`; only squares can be
-    turned.
+    form that the observation, or a task of others, `gives`; only squares can be turned.
     """
     targets = {
-        room: str(section._target_) for room, section in config.items() if _is_level(section)
+        str(room): str(section["_target_"])
+        for room, section in config.items()
+        if _is_level(section)
     }
     for room, target in targets.items():
         fits: dict[str, list[str]] = constant(target, "fits") or {}
         for other, valid in fits.items():
             if (level := _level(targets[other])) not in valid:
-                raise BadInput(
-                    f"{other}={level}: does not fit {room}={_level(target)};"
-                    f" valid: {', '.join(valid)}"
-                )
-    observation, encoder = config.observation._target_, config.encoder._target_
-    gives, takes = constant(observation, "gives"), constant(encoder, "takes")
+                fitting = f"{room}={_level(target)}; valid: {', '.join(valid)}"
+                raise BadInput(f"{other}={level}: does not fit {fitting}")
+    seer = "observation" if constant(targets["env"], "gives") is None else "env"
+    gives, takes = constant(targets[seer], "gives"), constant(targets["encoder"], "takes")
+    given = f"{seer}={_level(targets[seer])} gives {gives.value}"
     if gives is not takes:
         raise BadInput(
-            f"encoder={_level(encoder)}: takes {takes.value}, observation={_level(observation)}"
-            f" gives {gives.value}; valid: {', '.join(encoders_of(gives))}"
+            f"encoder={_level(targets['encoder'])}: takes {takes.value}, {given};"
+            f" valid: {', '.join(encoders_of(gives))}"
         )
     if gives is not Form.SQUARES and config.agent.get("augment", False):
-        raise BadInput(
-            f"agent.augment=true: turns squares, observation={_level(observation)} gives"
-            f" {gives.value}; valid: false"
-        )
+        raise BadInput(f"agent.augment=true: turns squares, {given}; valid: false")
 
 
 def encoders_of(form: Form) -> list[str]:
