@@ -11,13 +11,13 @@ from marl_clean.schema import instantiate
 
 
 def check_house(config: DictConfig) -> None:
-    """Draw one house as training and evaluation will.
+    """Draw one house as training and evaluation will; of a mixture one of every part.
 
     Raises BadInput for a plan that cannot be read, has no free cell or fewer than robots, and
     for sizes that allow no house.
     """
-    house = instantiate(config.house)
-    draw_houses(house, split_seeds("test", 1), config.env.n_agents)
+    for part in instantiate(config.house).parts():
+        draw_houses(part, split_seeds("test", 1), config.env.n_agents)
 
 
 def check_plans(config: DictConfig) -> None:

@@ -106,6 +106,8 @@ Range = Annotated[
     Field(min_length=2, max_length=2),
     AfterValidator(_ascending),
 ]
+Ranges = Annotated[list[Range], Field(min_length=1)]
+Kinds = Annotated[list[Literal["rooms", "single_room", "open"]], Field(min_length=1)]
 
 
 def _folder_name(value: str) -> str:
