@@ -12,7 +12,7 @@ from marl_clean.agent.base import Agent
 from marl_clean.checkpoint import fit_weights, load_weights
 from marl_clean.compose import checked
 from marl_clean.env.cleaning import CleaningEnv
-from marl_clean.house.base import Houses, draw_bank, draw_houses, split_seeds
+from marl_clean.house.base import Houses, draw_bank, draw_houses, smallest_first, split_seeds
 from marl_clean.planner.base import Planner
 from marl_clean.schema import instantiate
 from marl_clean.settings import HouseOrder
@@ -20,8 +20,9 @@ from marl_clean.stored import load_config
 
 
 def training_houses(cfg: DictConfig) -> Houses:
-    """Draw the distinct houses that training episodes are played in."""
-    return draw_bank(instantiate(cfg.house), cfg.train_houses, cfg.env.n_agents)
+    """Draw the distinct houses of training episodes, for a curriculum the smallest first."""
+    houses = draw_bank(instantiate(cfg.house), cfg.train_houses, cfg.env.n_agents)
+    return smallest_first(houses) if cfg.trainer.get("curriculum_stages", 1) > 1 else houses
 
 
 def held_out_houses(cfg: DictConfig, split: str, count: int) -> Houses:

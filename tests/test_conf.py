@@ -29,7 +29,8 @@ FLOORS = [
     {"env"},
     {"transform", "observation", "topology", "reward", "encoder", "comm", "channel"},
     {"agent", "planner"},
-    {"trainer", "evaluation", "report", "logger", "checkpoint", "build", "compose", "stored"},
+    {"trainer", "evaluation", "report", "logger", "checkpoint", "build", "compose", "stored"}
+    | {"curriculum"},
 ]
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
 TOP = len(FLOORS)

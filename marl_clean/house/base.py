@@ -61,8 +61,8 @@ class Houses:
     """N houses as one stack, padded with blocked cells to the largest.
 
     `free` bool [N, R, C]; `furniture` int16 [N, R, C]; `rows` and `cols` int64 [N], each house's
-    own; `starts` int64 [N, k, 2] as (row, col), k <= n_agents, -1 where a house gives fewer, or None
-    where the world draws all; `sources` the seeds or paths.
+    own; `starts` int64 [N, k, 2] as (row, col), k <= n_agents, -1 where a house gives fewer, or
+    None where the world draws all; `sources` the seeds or paths.
     """
 
     free: np.ndarray
@@ -128,6 +128,19 @@ def draw_bank(house: House, count: int, n_agents: int, split: str = "train") -> 
         if len(bank) == count or repeats == count:
             break
     return _stack(list(bank.values()))
+
+
+def smallest_first(houses: Houses) -> Houses:
+    """The same houses in the order of their free cells; equal ones keep theirs."""
+    order = np.argsort(houses.free_cells, kind="stable")
+    return Houses(
+        free=houses.free[order],
+        furniture=houses.furniture[order],
+        rows=houses.rows[order],
+        cols=houses.cols[order],
+        starts=None if houses.starts is None else houses.starts[order],
+        sources=[houses.sources[index] for index in order],
+    )
 
 
 def keep_region(plan: Plan) -> Plan:
