@@ -122,6 +122,13 @@ def _device(value: str) -> str:
     return value
 
 
+def _sha256(value: str) -> str:
+    if not re.fullmatch(r"[0-9a-f]{64}", value):
+        raise ValueError(f"must be a sha256 of 64 hex digits, not {value!r}")
+    return value
+
+
+Sha256 = Annotated[str, AfterValidator(_sha256)]
 FolderName = Annotated[str, AfterValidator(_folder_name)]
 Device = Annotated[str, AfterValidator(_device)]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
@@ -145,4 +152,5 @@ class Root(TypedDict):
     device: Device
     name: FolderName | None
     checkpoint: str | None
+    weights: Sha256 | None
     out: str | None

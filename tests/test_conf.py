@@ -24,7 +24,7 @@ HANDED_OVER = {"margin", "house_order", "first_env", "seed", "device"}
 
 FLOORS = [
     {"errors", "keys", "settings", "schema", "safe_yaml", "plan_files", "files", "viewer"}
-    | {"symmetry", "world"},
+    | {"symmetry", "world", "manifest", "presets"},
     {"house", "floorplan_readers"},
     {"env"},
     {"transform", "observation", "topology", "reward", "encoder", "comm", "channel"},
@@ -85,7 +85,8 @@ def test_every_key_is_explained(path: Path) -> None:
 
 @pytest.mark.parametrize("path", sorted(CONF.glob("experiment/*.yaml")), ids=name_of)
 def test_a_preset_composes_and_names_its_runs(path: Path) -> None:
-    assert compose.compose_config([f"+experiment={path.stem}"]).name.startswith(f"{path.stem}-")
+    config = compose.compose_config([f"+experiment={path.stem}", "checkpoint=some_run"])
+    assert config.name.startswith(f"{path.stem}-")
 
 
 @pytest.mark.parametrize("path", sorted(CONF.glob("budget/*.yaml")), ids=name_of)

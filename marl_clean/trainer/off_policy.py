@@ -1,6 +1,7 @@
 """The off-policy loop: play, remember, learn; and now and then log, evaluate, save."""
 
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -104,10 +105,12 @@ class OffPolicy:
         evaluate: Evaluate,
         loggers: Iterable[Logger],
         folder: Path,
+        start_is_candidate: bool = False,
     ) -> Outcome:
         """Train `agent` in `env` until the budget is spent; resume what `folder` holds.
 
-        `evaluate` measures a policy on validation houses and names what it measured.
+        `evaluate` measures a policy on validation houses and names what it measured. With
+        `start_is_candidate` the weights that the agent came with may be the best.
 
         Raises:
             BadInput: a setting that does not fit the env, damaged checkpoints, a full disk.
@@ -122,6 +125,9 @@ class OffPolicy:
         run.resume()
         with Interrupts() as interrupts, Progress(self.total_frames, run.frames) as progress:
             try:
+                if start_is_candidate and not run.frames:
+                    with suppress(Stopped):  # the loop sees the signal
+                        run.measure(interrupts)
                 while True:
                     run.report(interrupts, progress)
                     if interrupts.signal or run.due(self.checkpoint_interval_frames, run.saved):
@@ -212,7 +218,7 @@ class _Run:
         ended = self.frames >= self.settings.total_frames and self.evaluated < self.frames
         if ended or self.due(self.settings.eval_interval_frames, self.evaluated):
             try:
-                row = self._evaluate(interrupts)
+                row = self.measure(interrupts)
             except Stopped:  # done anew when the run goes on
                 return
         if row or self.due(self.settings.log_interval_frames, self.logged):
@@ -228,7 +234,7 @@ class _Run:
             self.logged = self.frames
         progress.show(self.frames, row)
 
-    def _evaluate(self, interrupts: Interrupts) -> dict[str, float]:
+    def measure(self, interrupts: Interrupts) -> dict[str, float]:
         """Measure the greedy policy on validation houses; keep its weights if they are best."""
         cuda = [self.env.device] if self.env.device.type == "cuda" else []
         with torch.random.fork_rng(devices=cuda), torch.no_grad(), interrupts.breakable():
