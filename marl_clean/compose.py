@@ -18,7 +18,7 @@ from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
 from hydra.initialize import get_gh_backup, restore_gh_from_backup
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+from omegaconf.errors import OmegaConfBaseException
 
 from marl_clean import schema
 from marl_clean.errors import BadInput
@@ -134,9 +134,6 @@ def resolved(config: DictConfig) -> dict[str, Any]:
     """The config as plain data, every `${...}` replaced. Raises BadInput on one that cannot be."""
     try:
         plain = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
-    except MissingMandatoryValue as error:
-        key = error.full_key
-        raise BadInput(f"{key}: must be given, since a preset asks for it: {key}=VALUE") from None
     except OmegaConfBaseException as error:
         raise BadInput(f"{error.full_key}: {_first_line(error)}") from None
     assert isinstance(plain, dict)

@@ -55,16 +55,20 @@ def compose_for_policy(overrides: Sequence[str]) -> DictConfig:
 def compose_for_training(overrides: Sequence[str]) -> DictConfig:
     """What to train: the default config with `overrides`, or that of `checkpoint`'s run.
 
-    Of a run everything is taken over that presets and settings do not change, and training
-    starts from its weights: which they are is written down in the config, so that other weights
-    make another run. Settings of learning may change, those of the network may not.
+    The run is named by a setting, or by a preset. Of it everything is taken over that presets and
+    settings do not change, and training starts from its weights: which they are is written down
+    in the config, so that other weights make another run. Settings of learning may change, those
+    of the network may not.
 
     Raises BadInput as `compose_for_policy` does, and for a run that has no weights yet.
     """
     parsed = parse_overrides(overrides)
     run = _checkpoint_in(parsed)
     if run is None:
-        return compose_config(overrides)
+        config = compose_config(overrides)
+        if config.checkpoint is None:
+            return config
+        run = config.checkpoint
     folder = find_run(run)
     stored = load_config(folder)
     wanted = apply({**stored, "name": None, "out": None}, parsed)
