@@ -14,7 +14,9 @@ from omegaconf import OmegaConf
 from marl_clean import cli, compose
 from marl_clean.compose import PRESETS, compose_config, conf_folder
 from marl_clean.evaluation.records import MEASURES, SCHEMA, WORLD, read_entries
+from marl_clean.house.base import draw_houses
 from marl_clean.presets import read_preset
+from marl_clean.schema import instantiate
 from marl_clean.stored import load_config
 
 EXPERIMENTS = sorted(path.stem for path in (conf_folder() / "experiment").glob("*.yaml"))
@@ -77,7 +79,7 @@ def test_a_preset_trains_and_measures(
     assert cli.main(["train", *settings]) == 0
     [folder] = Path("runs").iterdir()
     assert folder.name.startswith(f"{preset}-")
-    rows = list(csv.DictReader((folder / "metrics.csv").open()))
+    rows = list(csv.DictReader((folder / "metrics.csv").read_text().splitlines()))
     losses = [float(row["loss"]) for row in rows if row["loss"]]
     assert losses and all(math.isfinite(loss) for loss in losses)
     assert int(rows[-1]["updates"]) >= 1 and rows[-1]["frames"] == "1024"
@@ -107,9 +109,6 @@ def test_what_is_read_in_a_preset_is_what_hydra_composes(path: Path) -> None:
 
 
 def test_single_rooms_have_no_wall_inside() -> None:
-    from marl_clean.house.base import draw_houses
-    from marl_clean.schema import instantiate
-
     house = instantiate(compose_config(["experiment=single_room"]).house)
     houses = draw_houses(house, range(200), n_agents=4)
     for index in range(200):
