@@ -12,17 +12,20 @@ from marl_clean.agent.base import Agent
 from marl_clean.checkpoint import fit_weights, load_weights
 from marl_clean.compose import checked, plays_houses
 from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.errors import BadInput
 from marl_clean.fitting import check_fit
-from marl_clean.house.base import Houses, draw_bank, draw_houses, split_seeds
+from marl_clean.house.base import Houses, draw_bank, draw_houses, smallest_first, split_seeds
+from marl_clean.manifest import weights_sha256
 from marl_clean.planner.base import Planner
 from marl_clean.schema import instantiate
 from marl_clean.settings import HouseOrder
-from marl_clean.stored import load_config
+from marl_clean.stored import find_run, load_config
 
 
 def training_houses(cfg: DictConfig) -> Houses:
-    """Draw the distinct houses that training episodes are played in."""
-    return draw_bank(instantiate(cfg.house), cfg.train_houses, cfg.env.n_agents)
+    """Draw the distinct houses of training episodes, for a curriculum the smallest first."""
+    houses = draw_bank(instantiate(cfg.house), cfg.train_houses, cfg.env.n_agents)
+    return smallest_first(houses) if cfg.trainer.get("curriculum_stages", 1) > 1 else houses
 
 
 def held_out_houses(cfg: DictConfig, split: str, count: int) -> Houses:
@@ -121,6 +124,20 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
         num_actions=env.full_action_spec[keys.ACTION].n,
         device=cfg.device,
     )
+
+
+def start_from(agent: Agent, cfg: DictConfig) -> None:
+    """Give an agent the weights that `cfg` says it starts from.
+
+    Raises:
+        BadInput: they do not fit its network, or are others than `cfg` was composed for.
+    """
+    folder = find_run(cfg.checkpoint)
+    if weights_sha256(folder) != cfg.weights:
+        raise BadInput(f"checkpoint={cfg.checkpoint}: its weights have changed; start anew")
+    weights = load_weights(folder).tree
+    fit_weights(agent.network, weights, folder)
+    agent.start_from(weights)
 
 
 def load_policy(folder: Path) -> TensorDictModuleBase:

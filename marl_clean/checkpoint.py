@@ -10,11 +10,9 @@ It is written under a fresh name, read again, and only then are older ones prune
 the newest whose manifest holds; nothing is ever unpickled.
 """
 
-import json
 import logging
-import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +24,20 @@ from torch import Tensor, nn
 
 from marl_clean import files
 from marl_clean.errors import BadInput
+from marl_clean.manifest import (
+    FOLDER,
+    MANIFEST,
+    OF_WEIGHTS,
+    STATE,
+    TENSORS,
+    Damaged,
+    canonical,
+    make_manifest,
+    paths,
+    read_json,
+    verify,
+)
 
-TENSORS, STATE, MANIFEST = "tensors.safetensors", "state.json", "manifest.json"
-SCHEMA = 1
-LARGEST_JSON = 16 << 20
-FOLDER = "checkpoints"
-NAME = re.compile(r"([a-z]+)-(\d{12})")
 DTYPES = {
     torch.float64: "F64",
     torch.float32: "F32",
@@ -45,10 +51,6 @@ DTYPES = {
     torch.bool: "BOOL",
 }
 log = logging.getLogger(__name__)
-
-
-class Damaged(Exception):
-    """A checkpoint that is not what was written; the message says in which way."""
 
 
 @dataclass(frozen=True)
@@ -81,20 +83,20 @@ class Checkpoints:
         path = self.folder / f"{kind}-{frames:012d}"
         tensors: dict[str, Tensor] = {}
         encoded = _encode(tree, "", tensors)
-        text = _canonical({"frames": frames, "kind": kind, "notes": dict(notes), "tree": encoded})
+        text = canonical({"frames": frames, "kind": kind, "notes": dict(notes), "tree": encoded})
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             files.clear_leftovers(self.folder)
             if self._holds(path):  # of a run that went on from it: the same frames, the same state
                 return
             contents = {TENSORS: _safetensors(tensors), STATE: [text]}
-            files.write_folder(path, contents, MANIFEST, _manifest)
-            _verify(path)
+            files.write_folder(path, contents, MANIFEST, make_manifest)
+            verify(path)
         except OSError as error:
             raise BadInput(f"{path}: cannot be saved: {error.strerror}") from error
         except Damaged as error:
             raise BadInput(f"{path}: the disk does not keep what is written: {error}") from error
-        for old in self._paths(kind)[self.keep :]:
+        for old in paths(self.folder, kind)[self.keep :]:
             files.remove_folder(old)
 
     def _holds(self, path: Path) -> bool:
@@ -102,7 +104,7 @@ class Checkpoints:
         if not path.exists():
             return False
         try:
-            _verify(path)
+            verify(path)
         except Damaged:
             files.remove_folder(path)
             return False
@@ -116,32 +118,26 @@ class Checkpoints:
         Raises:
             BadInput: all there are, are damaged.
         """
-        paths = self._paths(kind)
-        for path in paths:
+        found = paths(self.folder, kind)
+        for path in found:
             try:
                 return _read(path)
             except Damaged as error:
                 log.warning("%s is damaged (%s): going back to the one before", path, error)
-        if paths:
+        if found:
             raise BadInput(f"{self.folder}: every {kind} checkpoint is damaged; start a new run")
         return None
 
     def forget_after(self, frames: int) -> None:
         """Remove what was saved after `frames`: a run that goes on from there saves it anew."""
-        for path in self._paths():
+        for path in paths(self.folder):
             if int(path.name.rpartition("-")[2]) > frames:
                 files.remove_folder(path)
 
     def remove(self, kind: str) -> None:
         """Remove every checkpoint of a kind, the oldest first."""
-        for path in reversed(self._paths(kind)):
+        for path in reversed(paths(self.folder, kind)):
             files.remove_folder(path)
-
-    def _paths(self, kind: str | None = None) -> list[Path]:
-        """Return the folders of a kind, or of all, newest first."""
-        matches = ((NAME.fullmatch(path.name), path) for path in self.folder.glob("*-*"))
-        found = [(m[2], m[1], path) for m, path in matches if m and kind in (None, m[1])]
-        return [path for _, _, path in sorted(found, reverse=True)]
 
 
 def load_weights(run: Path) -> Checkpoint:
@@ -151,7 +147,7 @@ def load_weights(run: Path) -> Checkpoint:
         BadInput: the run has saved none, or they are damaged.
     """
     checkpoints = Checkpoints(run / FOLDER)
-    for kind in ("best", "final"):
+    for kind in OF_WEIGHTS:
         found = checkpoints.newest(kind)
         if found is not None:
             return found
@@ -232,7 +228,7 @@ def _safetensors(tensors: Mapping[str, Tensor]) -> Iterator[bytes | memoryview]:
         kind, shape = DTYPES[tensor.dtype], list(tensor.shape)
         header[name] = {"dtype": kind, "shape": shape, "data_offsets": [offset, end]}
         offset = end
-    text = _canonical(header)
+    text = canonical(header)
     text += b" " * (-len(text) % 8)
     yield len(text).to_bytes(8, "little")
     yield text
@@ -241,30 +237,9 @@ def _safetensors(tensors: Mapping[str, Tensor]) -> Iterator[bytes | memoryview]:
         yield flat.view(torch.uint8).numpy().data
 
 
-def _manifest(digests: Mapping[str, files.Digest]) -> bytes:
-    described = {name: asdict(digest) for name, digest in digests.items()}
-    return _canonical({"schema": SCHEMA, "files": described})
-
-
-def _canonical(tree: Any) -> bytes:
-    return json.dumps(tree, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
-
-
-def _verify(path: Path) -> None:
-    """Hold every file against the manifest. Raises Damaged where one is not what was written."""
-    manifest = _read_json(path / MANIFEST)
-    found = {}
-    for name in (TENSORS, STATE):
-        if (path / name).is_symlink() or not (path / name).is_file():
-            raise Damaged(f"{name} is missing")
-        found[name] = files.digest_of(path / name)
-    if _manifest(found) != _canonical(manifest):
-        raise Damaged("the manifest does not hold")
-
-
 def _read(path: Path) -> Checkpoint:
-    _verify(path)
-    state = _read_json(path / STATE)
+    verify(path)
+    state = read_json(path / STATE)
     try:
         tensors = load_file(path / TENSORS)
         tree = _decode(state["tree"], tensors)
@@ -272,14 +247,3 @@ def _read(path: Path) -> Checkpoint:
     except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
         # A stranger's checkpoint can have a manifest that holds and still be anything.
         raise Damaged(f"not a checkpoint of ours, {type(error).__name__}") from error
-
-
-def _read_json(path: Path) -> Any:
-    if path.is_symlink() or not path.is_file():
-        raise Damaged(f"{path.name} is missing")
-    if path.stat().st_size > LARGEST_JSON:
-        raise Damaged(f"{path.name} is longer than {LARGEST_JSON} bytes")
-    try:
-        return json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise Damaged(f"{path.name} is not JSON") from error

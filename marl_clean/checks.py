@@ -12,7 +12,7 @@ from marl_clean.schema import instantiate
 
 
 def check_house(config: DictConfig) -> None:
-    """Draw one house as training and evaluation will.
+    """Draw one house as training and evaluation will; of a mixture one of every part.
 
     Raises BadInput for a plan that cannot be read, has no free cell or fewer than robots, and
     for sizes that allow no house, or larger ones than the observation has room for. Does
@@ -20,10 +20,10 @@ def check_house(config: DictConfig) -> None:
     """
     if not plays_houses(config):
         return
-    house = instantiate(config.house)
-    houses = draw_houses(house, split_seeds("test", 1), config.env.n_agents)
-    sides = [config.house.get(key, [0])[-1] for key in ("rows", "cols")]  # others may be larger
-    _check_sees(config, *map(max, zip(sides, houses.free.shape[1:], strict=True)))
+    for part in instantiate(config.house).parts():
+        houses = draw_houses(part, split_seeds("test", 1), config.env.n_agents)
+        sides = [getattr(part, key, [0])[-1] for key in ("rows", "cols")]  # others may be larger
+        _check_sees(config, *map(max, zip(sides, houses.free.shape[1:], strict=True)))
 
 
 def check_shows_houses(config: DictConfig) -> None:

@@ -12,10 +12,11 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from marl_clean.checks import check_device, check_house, check_plans
-from marl_clean.compose import BUDGET, EXPERIMENT, compose_config, parse_overrides, sweep_jobs
+from marl_clean.compose import BUDGET, EXPERIMENT, compose_config, parse_overrides
 from marl_clean.errors import BadInput
 from marl_clean.fitting import check_fit
 from marl_clean.stored import RUNS, check_same_run
+from marl_clean.sweep import sweep_jobs
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import product
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -23,6 +22,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from marl_clean import schema
 from marl_clean.errors import BadInput
+from marl_clean.presets import read_preset
 from marl_clean.settings import Evaluation, Root
 
 PACKAGE = Path(__file__).parent
@@ -30,6 +30,7 @@ EXPERIMENT = "experiment"
 BUDGET = "budget"
 PRESETS = (EXPERIMENT, BUDGET)  # groups that set keys of several rooms, and are none themselves
 OUTSIDE_THE_HASH = ("hydra", "name", "device", "logger", "checkpoint", "out")
+WEIGHTS = "weights"  # of the root; not the user's to set
 
 
 def conf_folder() -> Path:
@@ -51,27 +52,8 @@ def compose_config(overrides: Sequence[str] = ()) -> DictConfig:
     Raises BadInput on what cannot be read, is unknown, or has a wrong type or value.
     """
     parsed = parse_overrides(overrides)
-    if sweeping := [o.key_or_group for o in parsed if o.is_sweep_override()]:
-        raise BadInput(f"{sweeping[0]}: several values are for `train -m` alone; give one")
+    one_value_each(parsed)
     return checked(resolved(_composed(parsed)), parsed)
-
-
-def sweep_jobs(parsed: Sequence[Override]) -> list[list[str]]:
-    """The settings of each job of a sweep: every combination of the values given.
-
-    Raises BadInput on a range that has no end, such as `interval(0, 1)`.
-    """
-    alternatives: dict[str, list[str]] = {}  # of one key given twice the later counts
-    for override in parsed:
-        key = override.get_key_element()
-        if override.is_discrete_sweep():
-            values = list(override.sweep_string_iterator())
-        elif override.is_sweep_override():
-            raise BadInput(f"{key}: a sweep needs a list of values, such as {key}=1,2,3")
-        else:
-            values = [override.get_value_element_as_str()]
-        alternatives[key] = [f"{key}={value}" for value in values]
-    return [list(job) for job in product(*alternatives.values())]
 
 
 def plays_houses(config: DictConfig) -> bool:
@@ -80,9 +62,14 @@ def plays_houses(config: DictConfig) -> bool:
 
 
 def config_hash(config: DictConfig) -> str:
-    """sha256 over sorted compact JSON of what decides a run's result."""
+    """sha256 over sorted compact JSON of what decides a run's result.
+
+    Weights that a run starts from belong to it; a run without any is called as ever.
+    """
     content = {
-        key: value for key, value in _container(config).items() if key not in OUTSIDE_THE_HASH
+        key: value
+        for key, value in _container(config).items()
+        if key not in OUTSIDE_THE_HASH and (key, value) != (WEIGHTS, None)
     }
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
@@ -108,25 +95,44 @@ def parse_overrides(overrides: Sequence[str], hydra_too: bool = False) -> list[O
             raise BadInput(_unreadable(text))
         if override.type is not OverrideType.CHANGE or override.package is not None:
             raise BadInput(f"{text!r}: keys are not added, moved or deleted; write KEY=VALUE")
+        if override.key_or_group == WEIGHTS:
+            raise BadInput(f"{WEIGHTS}: must be left out; `train checkpoint=RUN` fills it in")
         _check_level(override)
         parsed.append(override)
     return parsed
 
 
 def apply(config: dict[str, Any], parsed: Sequence[Override]) -> dict[str, Any]:
-    """`config` of an earlier run, with the overridden levels and values replaced."""
-    chosen = [o for o in parsed if o.key_or_group in groups()]
-    levels = _container(_composed(chosen))
-    base = {**config, **{o.key_or_group: levels[o.key_or_group] for o in chosen}}
-    merged = OmegaConf.create(base)
+    """`config` of an earlier run, with presets, then overridden levels and values on top."""
+    one_value_each(parsed)
+    levels: dict[str, Any] = {}
+    sets: list[dict[str, Any]] = []
+    for group in PRESETS:
+        for name in [o.value() for o in parsed if o.key_or_group == group][-1:]:
+            if name is not None:
+                chosen, values = read_preset(conf_folder() / group / f"{name}.yaml")
+                levels |= chosen
+                sets += values
+    levels |= {o.key_or_group: o.value() for o in parsed if o.key_or_group in rooms()}
+    composed = _container(_composed(parse_overrides([f"{k}={v}" for k, v in levels.items()])))
+    chosen_levels = {room: composed[room] for room in levels}
+    merged = OmegaConf.create(config | chosen_levels)
+    merged.merge_with(*sets)
+    known = _container(merged)
     for override in parsed:
         key = override.key_or_group
-        if override in chosen:
+        if key in groups():
             continue
-        if key not in set(_keys(base)):
-            raise BadInput(_unknown(key, base))
+        if key not in set(_keys(known)):
+            raise BadInput(_unknown(key, known))
         OmegaConf.update(merged, key, override.value(), merge=True)
     return resolved(merged)
+
+
+def one_value_each(parsed: Sequence[Override]) -> None:
+    """Raises BadInput where a setting has several values, as a sweep's have."""
+    if sweeping := [o.key_or_group for o in parsed if o.is_sweep_override()]:
+        raise BadInput(f"{sweeping[0]}: several values are for `train -m` alone; give one")
 
 
 def resolved(config: DictConfig) -> dict[str, Any]:

@@ -116,6 +116,8 @@ Range = Annotated[
     Field(min_length=2, max_length=2),
     AfterValidator(_ascending),
 ]
+Ranges = Annotated[list[Range], Field(min_length=1)]
+Kinds = Annotated[list[Literal["rooms", "single_room", "open"]], Field(min_length=1)]
 
 
 def _folder_name(value: str) -> str:
@@ -137,9 +139,16 @@ def _task(value: str) -> str:
     return value
 
 
+def _sha256(value: str) -> str:
+    if not re.fullmatch(r"[0-9a-f]{64}", value):
+        raise ValueError(f"must be a sha256 of 64 hex digits, not {value!r}")
+    return value
+
+
 # Nothing else is ever imported: a config may come from a stranger.
 Task = Annotated[str, AfterValidator(_task)]
 Options = dict[str, int | float | bool]
+Sha256 = Annotated[str, AfterValidator(_sha256)]
 FolderName = Annotated[str, AfterValidator(_folder_name)]
 Device = Annotated[str, AfterValidator(_device)]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
@@ -163,4 +172,5 @@ class Root(TypedDict):
     device: Device
     name: FolderName | None
     checkpoint: str | None
+    weights: Sha256 | None
     out: str | None

@@ -7,8 +7,9 @@ that config, and settings may change the world around the policy but not its net
 import difflib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
+from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig
 
 from marl_clean.compose import (
@@ -16,16 +17,22 @@ from marl_clean.compose import (
     apply,
     checked,
     compose_config,
+    conf_folder,
     config_hash,
     parse_overrides,
+    rooms,
 )
 from marl_clean.errors import BadInput
+from marl_clean.manifest import weights_sha256
 from marl_clean.safe_yaml import load_yaml
+from marl_clean.schema import mismatch, parameters
+from marl_clean.settings import Root
 
 RUNS = Path("runs")
 CONFIG = "config.yaml"
 NETWORK = ("observation", "encoder", "comm", "agent")
 SAME_NETWORK = ("observation.position_noise",)  # of these rooms, but any weights play with it
+BESIDE_THE_WEIGHTS = ("encoder.dropout", "encoder.channels_last")  # how they learn, or are stored
 
 
 def compose_for_policy(overrides: Sequence[str]) -> DictConfig:
@@ -35,21 +42,60 @@ def compose_for_policy(overrides: Sequence[str]) -> DictConfig:
     would change the network whose weights it holds.
     """
     parsed = parse_overrides(overrides)
-    given = [override.value() for override in parsed if override.key_or_group == "checkpoint"]
-    if not given or given[-1] is None:
+    run = _checkpoint_in(parsed)
+    if run is None:
         return compose_config(overrides)
     for preset in (o.key_or_group for o in parsed if o.key_or_group in PRESETS):
         raise BadInput(f"{preset}: a checkpoint brings its own config; leave one of them out")
-    stored = load_config(find_run(str(given[-1])))
+    stored = load_config(find_run(run))
     wanted = apply(stored, parsed)
+    _check_fits(stored, wanted, run)
+    return checked(wanted, parsed)
+
+
+def compose_for_training(overrides: Sequence[str]) -> DictConfig:
+    """What to train: the default config with `overrides`, or that of `checkpoint`'s run.
+
+    The run is named by a setting, or by a preset. Of it everything is taken over that presets and
+    settings do not change, and training starts from its weights: which they are is written down
+    in the config, so that other weights make another run. Settings of learning may change, those
+    of the network may not.
+
+    Raises BadInput as `compose_for_policy` does, and for a run that has no weights yet.
+    """
+    parsed = parse_overrides(overrides)
+    run = _checkpoint_in(parsed)
+    if run is None:
+        config = compose_config(overrides)
+        if config.checkpoint is None:
+            return config
+        run = config.checkpoint
+    folder = find_run(run)
+    stored = load_config(folder)
+    wanted = apply({**stored, "name": None, "out": None}, parsed)
+    _check_fits(stored, wanted, run, learning_may_change=True)
+    found = {"checkpoint": str(folder), "weights": weights_sha256(folder)}
+    return checked({**wanted, **found}, parsed)
+
+
+def _checkpoint_in(parsed: Sequence[Override]) -> str | None:
+    """The run that the settings name, the last of several."""
+    given = [override.value() for override in parsed if override.key_or_group == "checkpoint"]
+    return None if not given or given[-1] is None else str(given[-1])
+
+
+def _check_fits(
+    stored: dict[str, Any], wanted: dict[str, Any], run: str, learning_may_change: bool = False
+) -> None:
+    """Raises BadInput where `wanted` has another network than the run's weights are of."""
     for room in NETWORK:
         for key, old, new in _differences(stored[room], wanted[room], room):
-            if key not in SAME_NETWORK:
+            of_learning = key in BESIDE_THE_WEIGHTS or (room == "agent" and key != "agent.dueling")
+            if key not in SAME_NETWORK and not (learning_may_change and of_learning):
                 raise BadInput(
-                    f"{key}: {new} does not fit checkpoint {given[-1]}, which was trained with"
-                    f" {old}; leave it out"
+                    f"{key}: {new} does not fit checkpoint {run}, which was trained with {old}; "
+                    "leave it out"
                 )
-    return checked(wanted, parsed)
 
 
 def find_run(run: str) -> Path:
@@ -68,6 +114,9 @@ def find_run(run: str) -> Path:
 def load_config(folder: Path) -> dict[str, Any]:
     """The checked config of the run in `folder`; it may come from a stranger.
 
+    Keys that came later than the run have the values of their level's yaml, which are what was
+    before there was a key.
+
     Raises BadInput when it is not a config of this package: other keys or types, classes from
     elsewhere, or `${...}`, which could read this machine's environment.
     """
@@ -78,10 +127,29 @@ def load_config(folder: Path) -> dict[str, Any]:
     if any("${" in text for text in _texts(plain)):
         raise BadInput(f"{path}: holds ${{...}}; the config of a run has its values written out")
     try:
+        plain = _completed(plain)
         checked(plain)
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
     return plain
+
+
+def _completed(plain: dict[str, Any]) -> dict[str, Any]:
+    """The config with the keys that it may leave out: those with a default, or null at the root."""
+    types = get_type_hints(Root, include_extras=True)
+    whole = {**{key: None for key in types if mismatch(None, types[key]) is None}, **plain}
+    for room, levels in rooms().items():
+        section = plain.get(room)
+        if not isinstance(section, dict):
+            continue
+        target = str(section.get("_target_"))
+        parts = target.split(".")
+        if len(parts) == 4 and parts[1] == room and parts[2] in levels:
+            level = load_yaml(conf_folder() / room / f"{parts[2]}.yaml")
+            accepted = parameters(target)
+            optional = [name for name in accepted if name in level and not accepted[name].required]
+            whole[room] = {**{name: level[name] for name in optional}, **section}
+    return whole
 
 
 def check_same_run(config: DictConfig, folder: Path) -> None:

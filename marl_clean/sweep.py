@@ -1,26 +1,21 @@
 """`train -m`: every combination of the settings is a job, handed to one of Hydra's launchers."""
 
 from collections.abc import Sequence
+from itertools import product
 
 from hydra._internal.callbacks import Callbacks
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.types import Override
 from hydra.core.plugins import Plugins
 from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig
 
 from marl_clean.checks import check_device, check_house, check_plans
-from marl_clean.compose import (
-    checked,
-    compose_config,
-    config_hash,
-    own_hydra,
-    parse_overrides,
-    resolved,
-    sweep_jobs,
-)
+from marl_clean.compose import config_hash, own_hydra, parse_overrides
+from marl_clean.errors import BadInput
 from marl_clean.fitting import check_fit
-from marl_clean.stored import RUNS, check_same_run
+from marl_clean.stored import RUNS, check_same_run, compose_for_training
 
 
 def run(overrides: Sequence[str]) -> None:
@@ -52,7 +47,7 @@ def named_jobs(parsed: Sequence[Override]) -> list[list[str]]:
     """
     jobs = {}
     for job in sweep_jobs(parsed):
-        config = compose_config(job)
+        config = compose_for_training(job)
         if any(setting.startswith("name=") for setting in job):
             config.name = f"{config.name}/{config_hash(config)[:8]}"
         check_house(config)
@@ -63,10 +58,31 @@ def named_jobs(parsed: Sequence[Override]) -> list[list[str]]:
     return list(jobs.values())
 
 
-def train_job(config: DictConfig) -> None:
-    """One job of a sweep, in whatever process its launcher chose."""
+def sweep_jobs(parsed: Sequence[Override]) -> list[list[str]]:
+    """The settings of each job of a sweep: every combination of the values given.
+
+    Raises BadInput on a range that has no end, such as `interval(0, 1)`.
+    """
+    alternatives: dict[str, list[str]] = {}  # of one key given twice the later counts
+    for override in parsed:
+        key = override.get_key_element()
+        if override.is_discrete_sweep():
+            values = list(override.sweep_string_iterator())
+        elif override.is_sweep_override():
+            raise BadInput(f"{key}: a sweep needs a list of values, such as {key}=1,2,3")
+        else:
+            values = [override.get_value_element_as_str()]
+        alternatives[key] = [f"{key}={value}" for value in values]
+    return [list(job) for job in product(*alternatives.values())]
+
+
+def train_job(composed: DictConfig) -> None:
+    """One job of a sweep, in whatever process its launcher chose.
+
+    Its settings are composed anew: a checkpoint's config is none of Hydra's.
+    """
     from marl_clean import train
 
-    config = checked(resolved(config))
+    config = compose_for_training(list(HydraConfig.get().overrides.task))
     check_device(config.device)  # here, since the job's machine may not be the launching one
     train.main(config, RUNS / config.name)

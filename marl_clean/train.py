@@ -1,22 +1,30 @@
 """`marl-clean train`: train, choose weights on validation houses, measure, draw."""
 
 import logging
+from functools import partial
 from pathlib import Path
 
 import torch
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
+from torch import nn
+from torchrl.envs import TransformedEnv
 
 from marl_clean import build, files
 from marl_clean.compose import compose_config, plays_houses
 from marl_clean.errors import BadInput
-from marl_clean.evaluation.evaluator import measure_beside_planners, measure_planner, validate
+from marl_clean.evaluation.evaluator import (
+    measure,
+    measure_beside_planners,
+    measure_planner,
+    validate,
+)
 from marl_clean.evaluation.records import MEASURED, Entry, read_entries, write_entries
 from marl_clean.evaluation.table import make_table, output
 from marl_clean.report.curve import draw_curve
 from marl_clean.report.replay import make_replay
 from marl_clean.schema import instantiate
-from marl_clean.stored import CONFIG
+from marl_clean.stored import CONFIG, find_run, load_config
 from marl_clean.trainer.off_policy import Outcome
 
 
@@ -55,24 +63,68 @@ def train(cfg: DictConfig, folder: Path) -> Outcome:
     only = {} if plays_houses(cfg) else {"select_by": "return"}  # all that is measured there
     trainer = instantiate(cfg.trainer, **only)
     trainer.check(env)
+    if cfg.checkpoint is not None:  # a run that goes on puts its state over these weights
+        build.start_from(agent, cfg)
     loggers = [instantiate(section, folder=folder) for section in cfg.logger.values()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         files.write_file(folder / CONFIG, [OmegaConf.to_yaml(cfg, resolve=True).encode()])
     except OSError as error:
         raise BadInput(f"name={cfg.name}: {folder} cannot be written: {error.strerror}") from error
-    return trainer.train(env, agent, lambda policy: validate(cfg, policy), loggers, folder)
+    return trainer.train(
+        env,
+        agent,
+        lambda policy: validate(cfg, policy),
+        loggers,
+        folder,
+        start_is_candidate=cfg.checkpoint is not None,
+    )
 
 
 def measure_all(cfg: DictConfig, folder: Path) -> list[Entry]:
-    """Measure the best weights and the planners on test houses and on each plan."""
+    """Measure the best weights and the planners in all `places`.
+
+    Where training started from another run's weights, these are measured too, as `RUN before`:
+    what was gained in the new houses, and what was forgotten of the old ones.
+    """
     cfg = cfg.copy()
     cfg.evaluation.house_set = "test"  # validation houses have chosen the weights
-    policy = build.load_policy(folder).to(cfg.device)
-    entries = measure_beside_planners(cfg, policy, cfg.name)
-    for plan in cfg.evaluation.plans if plays_houses(cfg) else ():
-        entries += measure_beside_planners(on_plan(cfg, plan), policy, cfg.name)
+    policies = {cfg.name: build.load_policy(folder).to(cfg.device)}
+    if cfg.checkpoint is not None:
+        run = find_run(cfg.checkpoint)
+        policies[f"{load_config(run)['name']} before"] = build.load_policy(run).to(cfg.device)
+    entries = []
+    for place, house_set in places(cfg):
+        mine, *planners = measure_beside_planners(place, policies[cfg.name], cfg.name)
+        before = [
+            measure(place, partial(_as_ever, policy), name, epsilon=place.evaluation.epsilon)
+            for name, policy in policies.items()
+            if name != cfg.name
+        ]
+        found = [mine, *before, *planners]
+        entries += [{**entry, "house_set": house_set or entry["house_set"]} for entry in found]
     return entries
+
+
+def _as_ever(policy: nn.Module, env: TransformedEnv) -> nn.Module:
+    """The policy for an env: a network is the same in all."""
+    return policy
+
+
+def places(cfg: DictConfig) -> list[tuple[DictConfig, str | None]]:
+    """Return `cfg` in its own houses, in those of the run it started from, and in each plan.
+
+    Each is there once. Beside it is what its set of houses is called, where `test` would mean two.
+    """
+    found: list[tuple[DictConfig, str | None]] = [(cfg, None)]
+    if cfg.checkpoint is not None:
+        stored, old = load_config(find_run(cfg.checkpoint)), cfg.copy()
+        old.house = stored["house"]
+        generated = instantiate(cfg.house).generated and instantiate(old.house).generated
+        found.append((old, f"test of {stored['name']}" if generated else None))
+    found += [(on_plan(cfg, plan), None) for plan in cfg.evaluation.plans]
+    houses = [place.house for place, _ in found]
+    return [each for index, each in enumerate(found) if each[0].house not in houses[:index]]
 
 
 def on_plan(cfg: DictConfig, plan: str) -> DictConfig:

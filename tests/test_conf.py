@@ -24,7 +24,7 @@ HANDED_OVER = {"margin", "house_order", "first_env", "seed", "device"}
 
 FLOORS = [
     {"errors", "keys", "settings", "schema", "safe_yaml", "plan_files", "files", "viewer"}
-    | {"symmetry", "world"},
+    | {"symmetry", "world", "manifest", "presets"},
     {"house", "floorplan_readers"},
     {"env"},
     {"transform", "observation", "topology", "reward", "encoder", "comm", "channel"},
@@ -39,6 +39,7 @@ FLOORS = [
         "compose",
         "stored",
         "fitting",
+        "curriculum",
     },
 ]
 FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}

@@ -54,6 +54,14 @@ class Agent(ABC):
     def anneal(self, progress: float) -> None:
         """Set exploration for a run of which `progress`, from 0 to 1, is done."""
 
+    def start_from(self, weights: dict[str, Tensor]) -> None:
+        """Begin to learn with a network's weights, those of a target network too."""
+        state = self.state_dict()
+        for name in ("network", "target"):
+            if name in state:
+                state[name] = weights
+        self.load_state_dict(state)
+
     @abstractmethod
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Learn from a batch of frames; return measures of it as tensors without a graph."""

@@ -66,8 +66,9 @@ class CleaningEnv(Played):
     What a robot is paid, `("agents", "reward")`, is added by `marl_clean.reward`.
 
     ## Starting state
-    A house drawn from `houses` (or, with HouseOrder.FIXED, house i for env i), robots on
-    distinct free cells: those of the plan, else drawn. Everything drawn is a pure function of
+    A house drawn from `houses`, after `open_houses(k)` from the first k of them (or, with
+    HouseOrder.FIXED, house i for env i), robots on distinct free cells: those of the plan, else
+    drawn. Everything drawn is a pure function of
     (seed, env index, episode).
 
     ## Episode end
@@ -164,6 +165,7 @@ class CleaningEnv(Played):
         self.num_envs = num_envs
         self.houses = houses
         self.house_order = house_order
+        self.num_open = len(houses)
         self.furniture = FurnitureMoves(furniture_moves_per_episode, furniture_moves_before_start)
         self.contact = contact
         self._compiled: dict[Callable, Callable] | None = None
@@ -203,6 +205,12 @@ class CleaningEnv(Played):
             self._compiled[function] = torch.compile(function, **kwargs)
         return self._compiled[function]
 
+    def open_houses(self, count: int) -> None:
+        """Let episodes that start from now on draw among the first `count` houses alone."""
+        if not 1 <= count <= len(self.houses):
+            raise BadInput(f"open_houses({count}): valid: 1 to {len(self.houses)}")
+        self.num_open = count
+
     def _begin(self, rows: Tensor, episode: Tensor) -> State:
         return self.compiled(begin)(
             self._houses,
@@ -210,6 +218,7 @@ class CleaningEnv(Played):
             episode,
             self.seed_in_use,
             self.house_order,
+            self.num_open,
             self.furniture,
             self.rules,
         )
@@ -289,6 +298,7 @@ class CleaningEnv(Played):
         saved = OrderedDict((name, value.clone()) for name, value in self.state.tensors().items())
         saved["seed"] = torch.tensor(self.seed_in_use)
         saved["started"] = torch.tensor(self._started)
+        saved["num_open"] = torch.tensor(self.num_open)
         return saved
 
     def load_state_dict(self, state_dict: Mapping[str, Tensor], *args: Any, **kwargs: Any) -> None:
@@ -306,6 +316,7 @@ class CleaningEnv(Played):
         self.state = State(**{name: value.clone() for name, value in tensors.items()})
         self.seed_in_use = int(state_dict["seed"])
         self._started = bool(state_dict["started"])
+        self.open_houses(int(state_dict["num_open"]))
 
     def progress(self) -> dict[str, float]:
         """Return the share of free cells cleaned so far, mean over the worlds now played."""

@@ -118,7 +118,8 @@ def measure(cfg: DictConfig, policy_for: PolicyFor, name: str, *, epsilon: float
         epsilon=epsilon,
         certify=section.certify,
     )
-    house_set = str(records[0].get("path", section.house_set))
+    generated = instantiate(cfg.house).generated
+    house_set = section.house_set if generated else str(records[0]["path"])
     return make_entry(name, house_set, config_hash(cfg), epsilon, cfg.env.n_agents, records)
 
 

@@ -6,7 +6,7 @@ torch is imported.
 
 import random
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -42,6 +42,7 @@ class House(ABC):
     """Draws plans. A level of the room is one subclass, final."""
 
     generated: ClassVar[bool]  # True: another plan for every seed; False: one plan from a file
+    shares_count: ClassVar[bool] = False  # True: how often seeds give one layout is asked for
 
     @abstractmethod
     def plan(self, seed: int, draw: int = 0) -> Plan:
@@ -50,14 +51,18 @@ class House(ABC):
         A loaded plan ignores both. Raises BadInput where the file cannot be used.
         """
 
+    def parts(self) -> Sequence["House"]:
+        """The houses that plans are drawn from: itself, where it is no mixture."""
+        return [self]
+
 
 @dataclass(frozen=True)
 class Houses:
     """N houses as one stack, padded with blocked cells to the largest.
 
     `free` bool [N, R, C]; `furniture` int16 [N, R, C]; `rows` and `cols` int64 [N], each house's
-    own; `starts` int64 [N, k, 2] as (row, col), k <= n_agents, or None where the world draws all;
-    `sources` the seeds or paths.
+    own; `starts` int64 [N, k, 2] as (row, col), k <= n_agents, -1 where a house gives fewer, or
+    None where the world draws all; `sources` the seeds or paths.
     """
 
     free: np.ndarray
@@ -105,13 +110,14 @@ def draw_bank(house: House, count: int, n_agents: int, split: str = "train") -> 
     """Up to `count` distinct houses, of the first seeds of a split that bring one.
 
     Settings that allow fewer (an open house of one size, a loaded plan) give those there are: the
-    walk ends when `count` seeds in a row brought nothing new.
+    walk ends when `count` seeds in a row brought nothing new. Where shares count, as in a mixture,
+    the houses are those of the first `count` seeds, equal ones among them.
 
     Raises BadInput as `draw_houses` does.
     """
     split_seeds(split, count)
-    if not house.generated:
-        return draw_houses(house, SPLITS[split][:1], n_agents)
+    if not house.generated or house.shares_count:
+        return draw_houses(house, split_seeds(split, count), n_agents)
     bank: dict[tuple[tuple[int, ...], bytes], Plan] = {}
     repeats = 0
     for seed in SPLITS[split]:
@@ -122,6 +128,19 @@ def draw_bank(house: House, count: int, n_agents: int, split: str = "train") -> 
         if len(bank) == count or repeats == count:
             break
     return _stack(list(bank.values()))
+
+
+def smallest_first(houses: Houses) -> Houses:
+    """The same houses in the order of their free cells; equal ones keep theirs."""
+    order = np.argsort(houses.free_cells, kind="stable")
+    return Houses(
+        free=houses.free[order],
+        furniture=houses.furniture[order],
+        rows=houses.rows[order],
+        cols=houses.cols[order],
+        starts=None if houses.starts is None else houses.starts[order],
+        sources=[houses.sources[index] for index in order],
+    )
 
 
 def keep_region(plan: Plan) -> Plan:
@@ -174,7 +193,7 @@ def _drawn(house: House, seed: int, n_agents: int) -> Plan:
     for draw in range(DRAWS_PER_SEED):
         plan = house.plan(seed, draw)
         if ndimage.label(plan.free)[1] == 1 and np.count_nonzero(plan.free) > n_agents:
-            return plan
+            return _with_starts_for(plan, n_agents)
     raise BadInput(
         f"house: in {DRAWS_PER_SEED} draws of seed {seed} none had one region of more than "
         f"{n_agents} free cells (env.n_agents), the last {np.count_nonzero(plan.free)} in all; "
@@ -202,6 +221,10 @@ def _loaded(house: House, n_agents: int) -> Plan:
             f"{plan.source}: {reason}, free cells: {free_cells}, env.n_agents: {n_agents}; "
             f"valid for env.n_agents: {valid}"
         )
+    return _with_starts_for(plan, n_agents)
+
+
+def _with_starts_for(plan: Plan, n_agents: int) -> Plan:
     return replace(plan, starts=plan.starts[:n_agents] if plan.starts else None)
 
 
@@ -223,6 +246,12 @@ def _stack(plans: Sequence[Plan]) -> Houses:
     )
 
 
-def _stack_starts(starts: Iterable[tuple[tuple[int, int], ...] | None]) -> np.ndarray | None:
-    given = [cells for cells in starts if cells]
-    return np.array(given, dtype=np.int64) if given else None
+def _stack_starts(starts: Sequence[tuple[tuple[int, int], ...] | None]) -> np.ndarray | None:
+    most = max(len(cells or ()) for cells in starts)
+    if not most:
+        return None
+    stacked = np.full((len(starts), most, 2), -1, dtype=np.int64)
+    for index, cells in enumerate(starts):
+        if cells:
+            stacked[index, : len(cells)] = cells
+    return stacked

@@ -150,6 +150,16 @@ def restore_random(states: Mapping[str, Tensor], device: torch.device) -> None:
         torch.cuda.set_rng_state(states["cuda"], device)
 
 
+def check_finite(values: Tensor, name: str, updates: int, frames: int) -> None:
+    """Raise Diverged where one of the values, measured after `updates` updates, is not finite."""
+    if not values.isfinite().all():
+        update = updates + 1 + int(values.isfinite().logical_not().nonzero()[0])
+        raise Diverged(
+            f"update {update}, frame {frames}: {name} is NaN or infinite;"
+            " nothing of it is saved; a smaller agent.lr may help"
+        )
+
+
 class Best:
     """The weights that a measure on validation houses chose so far, saved as they are chosen.
 

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,9 +16,10 @@ from torchrl.envs.utils import ExplorationType
 from marl_clean import keys
 from marl_clean.agent.base import Agent
 from marl_clean.checkpoint import FOLDER, Checkpoints
+from marl_clean.curriculum import Curriculum
 from marl_clean.errors import BadInput
 from marl_clean.logger.base import CLOCK, Logger, Progress
-from marl_clean.settings import NonNegativeInt, PositiveFloat, PositiveInt
+from marl_clean.settings import NonNegativeInt, PositiveFloat, PositiveInt, Probability
 from marl_clean.trainer.base import (
     Best,
     CarriedCollector,
@@ -27,6 +29,7 @@ from marl_clean.trainer.base import (
     Stopped,
     Tally,
     Windows,
+    check_finite,
     random_state,
     replay_state,
     restore_random,
@@ -56,6 +59,7 @@ class OffPolicy:
         start_frames: frames played before the first update.
         log_interval_frames, eval_interval_frames, checkpoint_interval_frames: how often.
         select_by: the measure on validation houses by which the best weights are chosen.
+        curriculum_stages, curriculum_promote_at, curriculum_window_episodes: see `Curriculum`.
     """
 
     def __init__(
@@ -70,6 +74,9 @@ class OffPolicy:
         eval_interval_frames: PositiveInt,
         checkpoint_interval_frames: PositiveInt,
         select_by: Literal["T_90", "T_95", "T_99", "T_100", "finished", "coverage_auc", "return"],
+        curriculum_stages: PositiveInt = 1,
+        curriculum_promote_at: Probability = 0.9,
+        curriculum_window_episodes: PositiveInt = 500,
     ) -> None:
         self.total_frames = total_frames
         self.frames_per_batch = frames_per_batch
@@ -81,6 +88,7 @@ class OffPolicy:
         self.eval_interval_frames = eval_interval_frames
         self.checkpoint_interval_frames = checkpoint_interval_frames
         self.select_by = select_by
+        self.curriculum = curriculum_stages, curriculum_promote_at, curriculum_window_episodes
 
     def check(self, env: EnvBase) -> None:
         """Raise BadInput where a setting does not fit the env."""
@@ -91,6 +99,7 @@ class OffPolicy:
                 f"trainer.frames_per_batch={self.frames_per_batch}: must be a multiple of"
                 f" env.num_envs={num_envs}, such as {near}"
             )
+        Curriculum(*self.curriculum).check(env.base_env)
 
     def train(
         self,
@@ -99,10 +108,12 @@ class OffPolicy:
         evaluate: Evaluate,
         loggers: Iterable[Logger],
         folder: Path,
+        start_is_candidate: bool = False,
     ) -> Outcome:
         """Train `agent` in `env` until the budget is spent; resume what `folder` holds.
 
-        `evaluate` measures a policy on validation houses and names what it measured.
+        `evaluate` measures a policy on validation houses and names what it measured. With
+        `start_is_candidate` the weights that the agent came with may be the best.
 
         Raises:
             BadInput: a setting that does not fit the env, damaged checkpoints, a full disk.
@@ -117,6 +128,9 @@ class OffPolicy:
         run.resume()
         with Interrupts() as interrupts, Progress(self.total_frames, run.frames) as progress:
             try:
+                if start_is_candidate and not run.frames:
+                    with suppress(Stopped):  # the loop sees the signal
+                        run.measure(interrupts)
                 while True:
                     run.report(interrupts, progress)
                     if interrupts.signal or run.due(self.checkpoint_interval_frames, run.saved):
@@ -146,6 +160,8 @@ class _Run:
         settings.check(env)
         self.settings, self.env, self.agent = settings, env, agent
         self.evaluate, self.loggers, self.checkpoints = evaluate, loggers, checkpoints
+        self.curriculum = Curriculum(*settings.curriculum)
+        self.curriculum.open_houses(env.base_env)
         self.collector = CarriedCollector(
             env,
             agent.exploration(env.full_action_spec),
@@ -181,7 +197,9 @@ class _Run:
         done = later[keys.DONE].squeeze(-1)
         self.tally.add("reward", later[keys.REWARD])
         self.tally.add("episode_reward", later[keys.EPISODE_REWARD].mean((-2, -1)), where=done)
-        self.tally.add("finished", later[keys.TERMINATED].squeeze(-1).double(), where=done)
+        finished = later[keys.TERMINATED].squeeze(-1)
+        self.tally.add("finished", finished.double(), where=done)
+        self.curriculum.note(self.env.base_env, done, finished)
 
     def learn(self) -> None:
         """Learn as often as the frames played since the start allow."""
@@ -193,12 +211,7 @@ class _Run:
         measures = [self.agent.update(self.replay.sample()) for _ in range(owed)]
         for name in measures[0]:
             values = torch.stack([measured[name] for measured in measures])
-            if not values.isfinite().all():
-                update = self.updates + 1 + int(values.isfinite().logical_not().nonzero()[0])
-                raise Diverged(
-                    f"update {update}, frame {self.frames}: {name} is NaN or infinite;"
-                    " nothing of it is saved; a smaller agent.lr may help"
-                )
+            check_finite(values, name, self.updates, self.frames)
             self.tally.add(name, values)
         self.updates += owed
 
@@ -208,7 +221,7 @@ class _Run:
         ended = self.frames >= self.settings.total_frames and self.evaluated < self.frames
         if ended or self.due(self.settings.eval_interval_frames, self.evaluated):
             try:
-                row = self._evaluate(interrupts)
+                row = self.measure(interrupts)
             except Stopped:  # done anew when the run goes on
                 return
         if row or self.due(self.settings.log_interval_frames, self.logged):
@@ -216,6 +229,7 @@ class _Run:
                 "epsilon": self.agent.epsilon,
                 "updates": self.updates,
                 **self.env.base_env.progress(),
+                **self.curriculum.measures(),
                 f"{CLOCK}frames_per_second": progress.frames_per_second(self.frames),
             }
             for logger in self.loggers:
@@ -223,7 +237,7 @@ class _Run:
             self.logged = self.frames
         progress.show(self.frames, row)
 
-    def _evaluate(self, interrupts: Interrupts) -> dict[str, float]:
+    def measure(self, interrupts: Interrupts) -> dict[str, float]:
         """Measure the greedy policy on validation houses; keep its weights if they are best."""
         cuda = [self.env.device] if self.env.device.type == "cuda" else []
         with torch.random.fork_rng(devices=cuda), torch.no_grad(), interrupts.breakable():
@@ -258,6 +272,7 @@ class _Run:
             "windows": self.windows.state(),
             "replay": replay_state(self.replay),
             "tally": self.tally.state(),
+            "curriculum": self.curriculum.state(),
             "random": random_state(device),
         }
         self.checkpoints.save("state", self.frames, state, {})
@@ -289,6 +304,7 @@ class _Run:
             self.collector.begin_anew()
         restore_replay(self.replay, state["replay"])
         self.tally.restore(state["tally"])
+        self.curriculum.restore(state["curriculum"])
         restore_random(state["random"], device)
 
     def finish(self) -> Outcome:

@@ -42,19 +42,21 @@ def begin(
     episode: Int[Tensor, " env"],
     seed: int,
     order: HouseOrder,
+    num_open: int,
     furniture: FurnitureMoves,
     rules: Rules,
 ) -> State:
     """Return the worlds `env_index` at step 0 of their episodes, starts cleaned.
 
-    A pure function of (seed, env index, episode): no other world has a part in it.
+    A pure function of (seed, env index, episode): no other world has a part in it. Drawn houses
+    are among the first `num_open`.
     """
     num_houses, height, width = houses.blocked.shape
     n_agents = houses.starts.shape[1]
     if order is HouseOrder.FIXED:
         house = env_index % num_houses
     else:
-        house = random_below(num_houses, seed, env_index, episode, Purpose.HOUSE)
+        house = random_below(num_open, seed, env_index, episode, Purpose.HOUSE)
     num_envs = len(house)
     blocked, piece = houses.blocked[house], houses.piece[house]
     num_maps = 1 if rules.memory is Memory.SHARED else n_agents

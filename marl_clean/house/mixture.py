@@ -1,0 +1,95 @@
+"""Houses of many sizes and kinds, and floor plans from files among them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import ClassVar, final
+
+from marl_clean.errors import BadInput
+from marl_clean.house.base import House, Plan, between, check_range, keep_region, stream
+from marl_clean.house.drawn import SHIPPED, Drawn
+from marl_clean.house.floorplan import FloorPlan
+from marl_clean.house.open import Open
+from marl_clean.house.rooms import Rooms
+from marl_clean.settings import LARGEST_SIDE, Kinds, Probability, Range, Ranges
+
+CHOICE = -1  # the draw of a seed that picks its part: none of the draws of a house
+
+
+@final
+@dataclass(frozen=True)
+class Mixture(House):
+    """Every seed picks a range of sizes and a kind of house, or one of the plans.
+
+    With the chance `plans_share` a plan, each as likely as the others; else a range of `sides`
+    and one of `kinds`, each entry of a list as likely as the others, so that what stands in it
+    twice comes twice as often. `rooms` are those of `house=rooms`, `single_room` the same without
+    dividing walls, `open` floors without walls. A plan is a `.txt` drawn in characters, any other
+    file a floor plan; a shipped name is the drawn plan, whose furniture can move. The part depends
+    on the seed alone, so that a house that has to be drawn again stays one of its part.
+
+    Paper §3.4 (thousands of different environments, which vary on sizes and room plans).
+    Raises BadInput for a range that is none, or a plan that cannot be used.
+    """
+
+    generated: ClassVar[bool] = True
+    shares_count: ClassVar[bool] = True
+
+    sides: Ranges
+    kinds: Kinds = field(default_factory=lambda: ["rooms"])
+    plans: list[str] = field(default_factory=list)
+    plans_share: Probability = 0.1
+
+    def __post_init__(self) -> None:
+        for sides in self.sides:
+            check_range("house.sides", sides, least=3)
+        for file in self._files:
+            _read(file)
+
+    def parts(self) -> Sequence[House]:
+        """Every plan, and every kind in every range of sizes."""
+        return [*self._files, *self._generators]
+
+    def plan(self, seed: int, draw: int = 0) -> Plan:
+        """The plan of the part that the seed picks: a pure function of the seed and the draw."""
+        numbers = stream(seed, CHOICE)
+        if numbers.random() < self.plans_share and self.plans:
+            return self._loaded[between(numbers, 0, len(self.plans) - 1)]
+        generators = self._generators
+        return generators[between(numbers, 0, len(generators) - 1)].plan(seed, draw)
+
+    @cached_property
+    def _generators(self) -> list[House]:
+        return [_generator(kind, sides) for sides in self.sides for kind in self.kinds]
+
+    @cached_property
+    def _files(self) -> list[House]:
+        return [_file(path) for path in self.plans]
+
+    @cached_property
+    def _loaded(self) -> list[Plan]:
+        return [_read(file) for file in self._files]
+
+
+def _generator(kind: str, sides: Range) -> House:
+    match kind:
+        case "rooms":
+            return Rooms(sides, sides)
+        case "single_room":
+            return Rooms(sides, sides, largest_room=LARGEST_SIDE**2, divide=0.0)
+        case "open":
+            return Open(sides, sides)
+    raise ValueError(kind)
+
+
+def _file(path: str) -> House:
+    drawn = Path(path).suffix == ".txt" or (SHIPPED / f"{path}.txt").is_file()
+    return Drawn(path) if drawn else FloorPlan(path)
+
+
+def _read(file: House) -> Plan:
+    try:
+        return keep_region(file.plan(0))
+    except BadInput as error:
+        raise BadInput(f"house.plans: {error}") from None
