@@ -8,6 +8,7 @@ from marl_clean.errors import BadInput
 from marl_clean.house.base import draw_houses, split_seeds
 from marl_clean.house.floorplan import FloorPlan
 from marl_clean.schema import instantiate
+from marl_clean.stored import find_run, load_config
 
 
 def check_house(config: DictConfig) -> None:
@@ -27,6 +28,21 @@ def check_plans(config: DictConfig) -> None:
             draw_houses(FloorPlan(path), [], config.env.n_agents)
         except BadInput as error:
             raise BadInput(f"evaluation.plans: {error}") from None
+
+
+def check_old_houses(config: DictConfig) -> None:
+    """Raises BadInput where the houses of the run that training starts from cannot be drawn.
+
+    They are measured after training, and a plan of theirs may lie elsewhere by now.
+    """
+    if config.checkpoint is None:
+        return
+    old = config.copy()
+    old.house = load_config(find_run(config.checkpoint))["house"]
+    try:
+        check_house(old)
+    except BadInput as error:
+        raise BadInput(f"checkpoint={config.checkpoint}: its houses: {error}") from None
 
 
 def check_out(path: Path) -> None:

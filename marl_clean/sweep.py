@@ -11,7 +11,7 @@ from hydra.core.plugins import Plugins
 from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig
 
-from marl_clean.checks import check_device, check_house, check_plans
+from marl_clean.checks import check_device, check_house, check_old_houses, check_plans
 from marl_clean.compose import config_hash, own_hydra, parse_overrides
 from marl_clean.errors import BadInput
 from marl_clean.stored import RUNS, check_same_run, compose_for_training
@@ -51,6 +51,7 @@ def named_jobs(parsed: Sequence[Override]) -> list[list[str]]:
             config.name = f"{config.name}/{config_hash(config)[:8]}"
         check_house(config)
         check_plans(config)
+        check_old_houses(config)
         check_same_run(config, RUNS / config.name)
         jobs[config.name] = [*job, f"name={config.name}"]
     return list(jobs.values())
