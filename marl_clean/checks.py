@@ -9,6 +9,7 @@ from marl_clean.errors import BadInput
 from marl_clean.house.base import check_largest, draw_houses, split_seeds
 from marl_clean.house.floorplan import FloorPlan
 from marl_clean.schema import instantiate
+from marl_clean.stored import find_run, load_config
 
 
 def check_house(config: DictConfig) -> None:
@@ -54,6 +55,21 @@ def check_square_view(config: DictConfig, what: str) -> None:
     if "view_size" not in config.observation:
         level = config.observation._target_.split(".")[2]
         raise BadInput(f"observation={level}: {what} needs a square around the robot, as of crop")
+
+
+def check_old_houses(config: DictConfig) -> None:
+    """Raises BadInput where the houses of the run that training starts from cannot be drawn.
+
+    They are measured after training, and a plan of theirs may lie elsewhere by now.
+    """
+    if config.checkpoint is None:
+        return
+    old = config.copy()
+    old.house = load_config(find_run(config.checkpoint))["house"]
+    try:
+        check_house(old)
+    except BadInput as error:
+        raise BadInput(f"checkpoint={config.checkpoint}: its houses: {error}") from None
 
 
 def check_out(path: Path) -> None:

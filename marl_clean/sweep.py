@@ -11,7 +11,7 @@ from hydra.core.plugins import Plugins
 from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig
 
-from marl_clean.checks import check_device, check_house, check_plans
+from marl_clean.checks import check_device, check_house, check_old_houses, check_plans
 from marl_clean.compose import config_hash, own_hydra, parse_overrides
 from marl_clean.errors import BadInput
 from marl_clean.fitting import check_fit
@@ -53,6 +53,7 @@ def named_jobs(parsed: Sequence[Override]) -> list[list[str]]:
         check_house(config)
         check_fit(config)
         check_plans(config)
+        check_old_houses(config)
         check_same_run(config, RUNS / config.name)
         jobs[config.name] = [*job, f"name={config.name}"]
     return list(jobs.values())

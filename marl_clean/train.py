@@ -117,6 +117,8 @@ def places(cfg: DictConfig) -> list[tuple[DictConfig, str | None]]:
     Each is there once. Beside it is what its set of houses is called, where `test` would mean two.
     """
     found: list[tuple[DictConfig, str | None]] = [(cfg, None)]
+    if not plays_houses(cfg):
+        return found
     if cfg.checkpoint is not None:
         stored, old = load_config(find_run(cfg.checkpoint)), cfg.copy()
         old.house = stored["house"]

@@ -212,6 +212,16 @@ def test_what_does_not_fit_is_one_line_and_no_folder(
     assert set(Path("runs").iterdir()) == folders
 
 
+def test_old_houses_that_are_gone_are_met_before_training(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = OmegaConf.load("runs/before/config.yaml")
+    config.house = compose_config(["house=drawn", "house.path=gone.txt"]).house
+    OmegaConf.save(config, "runs/before/config.yaml")
+    assert cli.main(["train", *AT_HOME]) == cli.BAD_INPUT
+    assert "checkpoint=runs/before: its houses: house.path: no file" in capsys.readouterr().err
+
+
 def test_learning_may_change_where_the_network_stays(place: Path) -> None:
     settings = ["encoder.dropout=0.2", "agent.gamma=0.9", "agent.precision=float32", "reward=team"]
     config = compose_for_training(["checkpoint=before", "topology=full", *settings])
