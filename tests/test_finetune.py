@@ -186,7 +186,9 @@ REFUSED = {
     "experiment=finetune": "checkpoint=RUN: there is no such run; runs: before",
     "experiment=finetune checkpoint=before": "house.path: null",
     "experiment=finetune checkpoint=before house.path=flat.yaml": "no file 'flat.yaml'",
-    "experiment=paper_proximity checkpoint=before": "observation._target_: marl_clean.observation.crop",
+    "experiment=paper_proximity checkpoint=before": (
+        "observation._target_: marl_clean.observation.crop"
+    ),
     "checkpoint=before observation.view_size=13": "observation.view_size: 13 does not fit",
     "checkpoint=before comm=none": "does not fit checkpoint before",
     "checkpoint=before encoder.channels=[4,5]": "encoder.channels",
