@@ -1,5 +1,6 @@
 """What a config asks of the machine: its floor plan, its folders, its device."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 from omegaconf import DictConfig
@@ -70,6 +71,15 @@ def check_old_houses(config: DictConfig) -> None:
         check_house(old)
     except BadInput as error:
         raise BadInput(f"checkpoint={config.checkpoint}: its houses: {error}") from None
+
+
+def check_optimum(config: DictConfig) -> None:
+    """Raises BadInput when the proven optimum is asked for and OR-tools is not installed."""
+    if config.evaluation.get("optimum", False) and find_spec("ortools") is None:
+        raise BadInput(
+            "evaluation.optimum=true: needs OR-tools; pip install 'marl-clean[optimum]', or leave "
+            "it out"
+        )
 
 
 def check_out(path: Path) -> None:

@@ -216,8 +216,9 @@ def _usage() -> str:
 
 
 def _checked(config: "DictConfig") -> "DictConfig":
-    from marl_clean.checks import check_device, check_house
+    from marl_clean.checks import check_device, check_house, check_optimum
 
+    check_optimum(config)
     check_house(config)
     check_device(config.device)
     return config

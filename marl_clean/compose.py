@@ -189,7 +189,8 @@ def _problems_of_section(section: Any, key: str, room: str) -> Iterator[schema.P
 def _problems_of_evaluation(section: Any) -> Iterator[schema.Problem]:
     if isinstance(section, dict):
         types = get_type_hints(Evaluation, include_extras=True)
-        yield from schema.problems_of_mapping(section, types, "evaluation.", types)
+        required = [name for name in types if name in Evaluation.__required_keys__]
+        yield from schema.problems_of_mapping(section, types, "evaluation.", required)
     else:
         yield schema.Problem("evaluation", "must be a section; set its keys one by one")
 

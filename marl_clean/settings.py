@@ -62,6 +62,14 @@ class Assignment(StrEnum):
     HUNGARIAN = "hungarian"
 
 
+class Ties(StrEnum):
+    """In which order a search tries the four directions, so which of equal ways it takes."""
+
+    FIXED = "fixed"  # up, right, down, left
+    STRAIGHT = "straight"  # the direction of the robot's last move, then the fixed order
+    ROTATED = "rotated"  # robot i starts the fixed order at direction i mod 4
+
+
 class Form(Enum):
     """The form of what a robot sees; an observation says which it gives, an encoder its own."""
 
@@ -154,7 +162,13 @@ Device = Annotated[str, AfterValidator(_device)]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
 
 
-class Evaluation(TypedDict):
+class LaterEvaluation(TypedDict, total=False):
+    """Keys of `evaluation` that the configs of earlier runs lack."""
+
+    optimum: bool
+
+
+class Evaluation(LaterEvaluation):
     """The config's section `evaluation`: how policies are measured."""
 
     house_set: HouseSet

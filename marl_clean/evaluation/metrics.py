@@ -7,6 +7,7 @@ the episode; only T_certify may go on.
 
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Int
 from tensordict import TensorDictBase
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.evaluation import bounds
+from marl_clean.evaluation.optimum import MOST_CELLS, optimal_T_100
 from marl_clean.keys import ADJACENCY, DONE, MESSAGE_BITS, OWN_REWARD
 from marl_clean.settings import Knowledge, Sensor
 from marl_clean.world.distance import neighbours
@@ -31,16 +33,18 @@ class Recorder:
 
     `Recorder(env)` after the reset, `update(td)` with the tensordict of each step (root and
     "next"), `records()` once nothing is `playing`. With `certify` a clean house plays on until
-    no unknown cell is beside one that a robot has stood on.
+    no unknown cell is beside one that a robot has stood on. With `optimum` the times are held
+    against the proven least T_100 too.
     """
 
-    def __init__(self, env: CleaningEnv, certify: bool = False) -> None:
+    def __init__(self, env: CleaningEnv, certify: bool = False, optimum: bool = False) -> None:
         self.env = env
         self.certify = certify
         state = env.state
         num_envs, n_agents, _ = state.position.shape
         device = state.step.device
         self.bounds = episode_bounds(state, env.rules)
+        self.optima = episode_optima(state, env.rules) if optimum else None
         self.rows, self.cols = state.rows.clone(), state.cols.clone()
         self.max_steps, self.num_free = state.max_steps.clone(), state.num_free.clone()
 
@@ -137,6 +141,10 @@ class Recorder:
         for name in times:
             pairs = zip(found[f"T_{name}"], self.bounds[f"bound_{name}"], strict=True)
             found[f"ratio_{name}"] = [ratio(time, bound) for time, bound in pairs]
+        if self.optima is not None:
+            found["optimum_100"] = list(self.optima)
+            pairs = zip(found["T_100"], self.optima, strict=True)
+            found["gap_100"] = [ratio(time, least) for time, least in pairs]
         return found
 
     def _shares(self) -> dict[str, Tensor]:
@@ -202,9 +210,7 @@ def episode_bounds(state: State, rules: Rules) -> dict[str, list[int | None]]:
     found: dict[str, list[int | None]] = {name: [None] * len(state.step) for name in names}
     if state.furniture_moves.shape[1] > 0:
         return found
-    inner = slice(rules.margin, -rules.margin)
-    free = (~state.blocked[:, inner, inner]).cpu().numpy()
-    starts = state.position.cpu().numpy()
+    free, starts = plans_of(state, rules)
     num_free, num_starts = free.sum(axis=(1, 2)), bounds.count_starts(starts)
     for percent in PERCENTS:
         least = bounds.bound_percent(percent, num_free, num_starts, starts.shape[1])
@@ -213,3 +219,21 @@ def episode_bounds(state: State, rules: Rules) -> dict[str, list[int | None]]:
     if rules.sensor is Sensor.BUMP and rules.knowledge is Knowledge.UNKNOWN:
         found["bound_certify"] = bounds.bound_certify(free, starts).tolist()
     return found
+
+
+def episode_optima(state: State, rules: Rules) -> list[int | None]:
+    """The proven least T_100, for worlds at step 0; null where furniture moves or F is large."""
+    if state.furniture_moves.shape[1] > 0:
+        return [None] * len(state.step)
+    return [
+        optimal_T_100(free, starts) if free.sum() <= MOST_CELLS else None
+        for free, starts in zip(*plans_of(state, rules), strict=True)
+    ]
+
+
+def plans_of(
+    state: State, rules: Rules
+) -> tuple[Bool[np.ndarray, "env row col"], Int[np.ndarray, "env agent 2"]]:
+    """The free cells and the robots' places, on the host."""
+    inner = slice(rules.margin, -rules.margin)
+    return (~state.blocked[:, inner, inner]).cpu().numpy(), state.position.cpu().numpy()

@@ -1,16 +1,42 @@
 """What scripted policies share: they read the robots' map, never the house."""
 
 from abc import abstractmethod
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.world.distance import UNREACHABLE, neighbours, walking_distance
 from marl_clean.world.random import Purpose, random_below
+from marl_clean.world.rules import Rules
+from marl_clean.world.shared_map import (
+    is_known_blocked,
+    is_known_dirty,
+    is_known_uncleaned,
+    is_unknown,
+)
+from marl_clean.world.state import State
+
+Grid = Bool[Tensor, "env map height width"]
+Distance = Int[Tensor, "env map height width"]
+Tier = tuple[Grid, Grid]  # (passable, targets) of a search that comes after those before it
+
+
+class Known(NamedTuple):
+    """What the robots know of the house and its ring, all maps without their margin."""
+
+    cell: Int[Tensor, "env agent"]  # where each robot stands, flat
+    blocked: Grid
+    passable: Grid  # neither known to be blocked nor occupied now
+    unknown: Grid
+    unvisited: Grid  # unknown, or known to be available but not cleaned in this episode
+    dirty: Grid
 
 
 class Planner(TensorDictModuleBase):
@@ -29,6 +55,7 @@ class Planner(TensorDictModuleBase):
     def bind(self, env: CleaningEnv) -> "Planner":
         """Plan for the robots of `env` from now on."""
         self.__dict__["env"] = env  # not a submodule: a policy does not own its env
+        self.track = Track(env.state)
         return self
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -51,3 +78,118 @@ class Planner(TensorDictModuleBase):
             state.step,
         )
         return random_below(4, env.seed_in_use, *(word[:, None] for word in words), robot)
+
+
+class Track:
+    """Follows robots from call to call; a new episode starts anew, a second look changes nothing.
+
+    `heading` is the direction of each robot's last move, -1 before its first.
+    """
+
+    def __init__(self, state: State) -> None:
+        self.episode = torch.full_like(state.episode, -1)
+        self.position = state.position
+        self.heading = torch.full_like(state.position[..., 0], -1)
+
+    def follow(self, state: State) -> Bool[Tensor, " env"]:
+        """Take note of where the robots are now; tell which worlds are at the start."""
+        fresh = (state.step == 0) | (state.episode != self.episode)
+        row, col = (state.position - self.position).unbind(-1)
+        direction = torch.where(row != 0, row + 1, 2 - col)
+        one_step = row.abs() + col.abs() == 1
+        heading = torch.where(one_step, direction, self.heading)
+        self.heading = torch.where(fresh[:, None], -1, heading)
+        self.episode, self.position = state.episode, state.position
+        return fresh
+
+
+class Sweep(Planner):
+    """Steps to the open neighbour that comes first in `order`; stuck: to the nearest open cell.
+
+    Open is what is unknown, or known to be available and not cleaned in this episode, and not
+    occupied now: what other robots cleaned is done, where they stand is an obstacle for the
+    moment. None open anywhere: the nearest dirty cell; none: a random action.
+    """
+
+    @abstractmethod
+    def order(self, known: Known) -> Int[Tensor, "env agent 4"]:
+        """Return the rank of up, right, down and left for each robot; the lowest is first."""
+
+    def act(self) -> Int[Tensor, "env agent"]:
+        self.track.follow(self.env.state)
+        known = read_maps(self.env.state, self.env.rules)
+        rank = self.order(known)
+        is_open = around(known.unvisited & known.passable, known.cell, False)
+        onward = torch.where(is_open, rank, 4).argmin(-1)
+        return torch.where(is_open.any(-1), onward, self.nearest(known))
+
+    def nearest(self, known: Known) -> Int[Tensor, "env agent"]:
+        """Return each robot's way to the nearest open cell, else dirty cell, else anywhere."""
+        tiers = ((known.passable, known.unvisited), (known.passable, known.dirty))
+        distances = nearest_distances(tiers, known.cell)
+        return torch.where(
+            reachable(distances)[..., 0], first_closest(distances), self.random_action()
+        )
+
+
+def read_maps(state: State, rules: Rules) -> Known:
+    """Read the robots' maps and places, and nothing else of the state."""
+    matrix = slice(rules.margin - 1, 1 - rules.margin or None)  # the house and its ring
+    record = state.record[..., matrix, matrix]
+    now = (state.step + 1).to(record.dtype).view(-1, 1, 1, 1)
+    width = record.shape[3]
+    cell = (state.position[..., 0] + 1) * width + state.position[..., 1] + 1
+    occupied = torch.zeros_like(record[:, 0], dtype=torch.bool).flatten(1)
+    occupied = occupied.scatter(1, cell, True).view_as(record[:, :1])
+    blocked, unknown = is_known_blocked(record), is_unknown(record)
+    return Known(
+        cell=cell,
+        blocked=blocked,
+        passable=~blocked & ~occupied,
+        unknown=unknown & ~occupied,
+        unvisited=(unknown | is_known_uncleaned(record)) & ~occupied,
+        dirty=is_known_dirty(record, now, rules) & ~occupied,
+    )
+
+
+def nearest_distances(
+    tiers: Iterable[Tier], cell: Int[Tensor, "env agent"]
+) -> Int[Tensor, "env agent 4"]:
+    """Return how far each robot's four neighbours are from the first tier that it reaches."""
+    distances = torch.full((*cell.shape, 4), UNREACHABLE, dtype=torch.int32, device=cell.device)
+    for passable, targets in tiers:
+        idle = ~reachable(distances)
+        if not idle.any():
+            break
+        found = around(walking_distance(passable, targets), cell, UNREACHABLE)
+        distances = torch.where(idle, found, distances)
+    return distances
+
+
+def around(
+    matrix: Tensor, cell: Int[Tensor, "env agent"], outside: bool | int
+) -> Int[Tensor, "env agent 4"] | Bool[Tensor, "env agent 4"]:
+    """Read each robot's up, right, down and left neighbour from its map [env, map, ...]."""
+    four = neighbours(matrix, outside).flatten(-2).permute(1, 2, 3, 0)
+    four = four.expand(-1, cell.shape[1], -1, -1)
+    return four.gather(2, cell[..., None, None].expand(-1, -1, 1, 4))[:, :, 0]
+
+
+def reachable(distances: Int[Tensor, "env agent 4"]) -> Bool[Tensor, "env agent 1"]:
+    """Tell which robots have a way."""
+    return (distances < UNREACHABLE).any(-1, keepdim=True)
+
+
+def first_closest(
+    distances: Int[Tensor, "*robots 4"], rank: Int[Tensor, "*robots 4"] | None = None
+) -> Int[Tensor, "*robots"]:
+    """Return the action that leads closest; of equals the first by `rank`, else in their order."""
+    if rank is None:
+        rank = torch.arange(4, device=distances.device)
+    return (distances.long() * 8 + rank).argmin(-1)
+
+
+def left_hand_rank(heading: Int[Tensor, "env agent"]) -> Int[Tensor, "env agent 4"]:
+    """Return the place of up, right, down and left in the order left, ahead, right, back."""
+    action = torch.arange(4, device=heading.device)
+    return (action - heading[..., None] + 1) % 4

@@ -6,13 +6,18 @@ from jaxtyping import Bool, Int
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from marl_clean.planner.base import Planner
-from marl_clean.settings import Assignment
+from marl_clean.planner.base import (
+    Grid,
+    Known,
+    Planner,
+    Tier,
+    around,
+    first_closest,
+    reachable,
+    read_maps,
+)
+from marl_clean.settings import Assignment, Ties
 from marl_clean.world.distance import UNREACHABLE, neighbours, walking_distance
-from marl_clean.world.shared_map import is_known_blocked, is_known_dirty, is_unknown
-
-Grid = Bool[Tensor, "env map height width"]
-Distance = Int[Tensor, "env map height width"]
 
 
 class NearestUnknown(Planner):
@@ -30,68 +35,96 @@ class NearestUnknown(Planner):
             until every robot has one of its own. hungarian: the least sum of distances.
             Robots that reach an unknown cell compete for those, the others for the dirty ones;
             a robot for which no target is left goes for its own nearest.
+        ties: the order in which a search tries directions: fixed (up, right, down, left);
+            straight: the direction of the robot's last move first; rotated: robot i starts the
+            fixed order at direction i mod 4.
+        wall_prior: unknown cells that are probably wall, see `likely_walls`, come after all
+            other unknown ones, and no way to those leads through them.
     """
 
-    def __init__(self, assignment: Assignment = Assignment.NONE) -> None:
+    def __init__(
+        self,
+        assignment: Assignment = Assignment.NONE,
+        ties: Ties = Ties.FIXED,
+        wall_prior: bool = False,
+    ) -> None:
         super().__init__()
         self.assignment = assignment
+        self.ties = ties
+        self.wall_prior = wall_prior
 
     @property
     def label(self) -> str:
-        plain = self.assignment is Assignment.NONE
-        return "nearest_unknown" if plain else f"nearest_unknown+{self.assignment.value}"
+        parts = ["nearest_unknown"]
+        if self.assignment is not Assignment.NONE:
+            parts.append(self.assignment.value)
+        if self.ties is not Ties.FIXED:
+            parts.append(self.ties.value)
+        if self.wall_prior:
+            parts.append("wall_prior")
+        return "+".join(parts)
 
     def act(self) -> Int[Tensor, "env agent"]:
-        distances = self.distances()
+        self.track.follow(self.env.state)
+        rank = self.rank()
+        distances = self.distances(rank)
         return torch.where(
-            reachable(distances)[..., 0], first_closest(distances), self.random_action()
+            reachable(distances)[..., 0], first_closest(distances, rank), self.random_action()
         )
 
-    def distances(self) -> Int[Tensor, "env agent 4"]:
-        """Return how far each robot's target is from its up, right, down and left neighbour."""
-        state, rules = self.env.state, self.env.rules
-        matrix = slice(rules.margin - 1, 1 - rules.margin or None)  # the house and its ring
-        record = state.record[..., matrix, matrix]
-        now = (state.step + 1).to(record.dtype).view(-1, 1, 1, 1)
-        width = record.shape[3]
-        cell = (state.position[..., 0] + 1) * width + state.position[..., 1] + 1
-        occupied = torch.zeros_like(record[:, 0], dtype=torch.bool).flatten(1)
-        occupied = occupied.scatter(1, cell, True).view_as(record[:, :1])
-        passable = ~is_known_blocked(record) & ~occupied
-        unknown = is_unknown(record) & ~occupied
-        dirty = is_known_dirty(record, now, rules) & ~occupied
+    def rank(self) -> Int[Tensor, "env agent 4"]:
+        """Return the place of up, right, down and left in each robot's order."""
+        heading = self.track.heading
+        action = torch.arange(4, device=heading.device).expand(*heading.shape, 4)
+        if self.ties is Ties.STRAIGHT:
+            return torch.where(action == heading[..., None], -1, action)
+        if self.ties is Ties.ROTATED:
+            return (action - torch.arange(heading.shape[1], device=heading.device)[:, None]) % 4
+        return action
 
-        to_unknown = around(walking_distance(passable, unknown), cell)
-        to_dirty = around(walking_distance(passable, dirty), cell)
-        explores = reachable(to_unknown)
-        distances = torch.where(explores, to_unknown, to_dirty)
-        if self.assignment is not Assignment.NONE:
-            assign = assign_greedily if self.assignment is Assignment.GREEDY else assign_optimally
-            to_own = torch.where(
-                explores,
-                assign(passable, unknown, cell, explores[..., 0]),
-                assign(passable, dirty, cell, ~explores[..., 0]),
-            )
-            distances = torch.where(reachable(to_own), to_own, distances)
+    def distances(self, rank: Int[Tensor, "env agent 4"]) -> Int[Tensor, "env agent 4"]:
+        """Return how far each robot's target is from its up, right, down and left neighbour."""
+        known = read_maps(self.env.state, self.env.rules)
+        cell = known.cell
+        distances = torch.full_like(rank, UNREACHABLE, dtype=torch.int32)
+        for passable, targets in self.tiers(known):
+            idle = ~reachable(distances)
+            if not idle.any():
+                break
+            found = around(walking_distance(passable, targets), cell, UNREACHABLE)
+            competes = (idle & reachable(found))[..., 0]
+            if self.assignment is Assignment.GREEDY:
+                own = assign_greedily(passable, targets, cell, competes, rank)
+                found = torch.where(reachable(own), own, found)
+            elif self.assignment is Assignment.HUNGARIAN:
+                own = assign_optimally(passable, targets, cell, competes)
+                found = torch.where(reachable(own), own, found)
+            distances = torch.where(idle, found, distances)
         return distances
 
-
-def around(distance: Distance, cell: Int[Tensor, "env agent"]) -> Int[Tensor, "env agent 4"]:
-    """Read the distance of each robot's up, right, down and left neighbour from its map."""
-    four = neighbours(distance, UNREACHABLE).flatten(-2).permute(1, 2, 3, 0)
-    four = four.expand(-1, cell.shape[1], -1, -1)
-    return four.gather(2, cell[..., None, None].expand(-1, -1, 1, 4))[:, :, 0]
-
-
-def reachable(distances: Int[Tensor, "env agent 4"]) -> Bool[Tensor, "env agent 1"]:
-    """Tell which robots have a way."""
-    return (distances < UNREACHABLE).any(-1, keepdim=True)
+    def tiers(self, known: Known) -> list[Tier]:
+        """Return (passable, targets) of the searches, in the order in which they are tried."""
+        tiers = [(known.passable, known.unknown), (known.passable, known.dirty)]
+        if not self.wall_prior:
+            return tiers
+        walls = likely_walls(known.blocked) & known.unknown
+        return [(known.passable & ~walls, known.unknown & ~walls), *tiers]
 
 
-def first_closest(distances: Int[Tensor, "*robots 4"]) -> Int[Tensor, "*robots"]:
-    """Return the first action, in their order, that leads closest."""
-    order = torch.arange(4, device=distances.device)
-    return (distances.long() * 4 + order).argmin(-1)
+def likely_walls(blocked: Grid) -> Grid:
+    """Tell which cells probably continue a wall that is known: in line with its cells.
+
+    The next two cells on both sides of it in its row, or in its column, are known to be blocked.
+    Known cells are told of too; the caller asks of unknown ones.
+
+    Measured on 200 validation houses of 14x14, against none, for 1, 2 and 4 robots: T_100 is
+    0.1, 0.9 and 0.1 steps longer (standard errors 0.7, 0.5, 0.3). What bites more often costs
+    more, for doors are cells in line with a wall: one known on both sides 4.9, 5.3 and 4.0
+    (T_90 of one robot 2.5 less), two in line on one side some 50, 30 and 13.
+    """
+    once = neighbours(blocked, False)
+    twice = once & torch.stack([neighbours(side, False)[i] for i, side in enumerate(once)])
+    return (twice[0] & twice[2]) | (twice[1] & twice[3])
 
 
 def assign_greedily(
@@ -99,6 +132,7 @@ def assign_greedily(
     targets: Grid,
     cell: Int[Tensor, "env agent"],
     competes: Bool[Tensor, "env agent"],
+    rank: Int[Tensor, "env agent 4"],
 ) -> Int[Tensor, "env agent 4"]:
     """Return the neighbours' distances to the target that each robot is assigned.
 
@@ -111,14 +145,14 @@ def assign_greedily(
     waiting = competes
     for _ in range(n_agents):
         distance = walking_distance(passable, targets)
-        beside = around(distance, cell)
+        beside = around(distance, cell, UNREACHABLE)
         nearest = torch.where(waiting, beside.amin(-1), UNREACHABLE)
         robot = first_minimum(nearest)
         found = nearest[env, robot] < UNREACHABLE
         if not found.any():
             break
         which_map = robot if distance.shape[1] > 1 else torch.zeros_like(robot)
-        target = _walk(distance[env, which_map], cell[env, robot], found)
+        target = _walk(distance[env, which_map], cell[env, robot], found, rank[env, robot])
         winner = (torch.arange(n_agents, device=cell.device) == robot[:, None]) & found[:, None]
         assigned = torch.where(winner[..., None], beside, assigned)
         waiting = waiting & ~winner
@@ -138,6 +172,7 @@ def _walk(
     distance: Int[Tensor, "env height width"],
     cell: Int[Tensor, " env"],
     walking: Bool[Tensor, " env"],
+    rank: Int[Tensor, "env 4"],
 ) -> Int[Tensor, " env"]:
     """Follow the first shortest way down to distance 0 and return the cell where it ends."""
     width = distance.shape[2]
@@ -146,7 +181,7 @@ def _walk(
     step = torch.tensor([-width, 1, width, -1], device=cell.device)
     env = torch.arange(len(cell), device=cell.device)
     while walking.any():
-        onward = cell + step[first_closest(four[env, cell])]
+        onward = cell + step[first_closest(four[env, cell], rank)]
         cell = torch.where(walking, onward, cell)
         walking = walking & (flat[env, cell] > 0)
     return cell
@@ -182,7 +217,7 @@ def assign_optimally(
     target = candidates.gather(1, chosen_column.clamp(min=0))
     goal = torch.zeros_like(start).scatter(2, target[..., None], True)
     goal &= (chosen_column >= 0)[..., None]
-    return around(walking_distance(passable, goal.view(shape)), cell)
+    return around(walking_distance(passable, goal.view(shape)), cell, UNREACHABLE)
 
 
 _TOO_FAR = 10**7  # of no way: above any sum of real distances

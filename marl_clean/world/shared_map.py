@@ -49,6 +49,11 @@ def is_known_dirty(record: Tensor, now: Tensor, rules: Rules) -> Tensor:
     return (record > 0) & (_is_touched(record) | (now - record >= rules.dirty_after))
 
 
+def is_known_uncleaned(record: Tensor) -> Tensor:
+    """Tell where the map says: available, and not cleaned since the episode began."""
+    return (record > 0) & _is_touched(record)
+
+
 def map_value(record: Tensor, now: Tensor, rules: Rules) -> Tensor:
     """Return the paper's value of cells: -1, -0.2, 0 to 0.5, or 1 for a robot's (§3.2).
 
