@@ -11,7 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from marl_clean import keys
-from marl_clean.env.base import Played
+from marl_clean.env.compiling import Compiling
 from marl_clean.env.houses import house_tensors
 from marl_clean.env.scene import scene_of
 from marl_clean.env.specs import REWARD_TERMS, make_specs
@@ -42,7 +42,7 @@ from marl_clean.world.state import State
 Contact = Callable[[State, Rules], Bool[Tensor, "env agent agent"]]
 
 
-class CleaningEnv(Played):
+class CleaningEnv(Compiling):
     """Blind robots that clean unknown houses together, many houses at once.
 
     ## Description
@@ -168,8 +168,6 @@ class CleaningEnv(Played):
         self.num_open = len(houses)
         self.furniture = FurnitureMoves(furniture_moves_per_episode, furniture_moves_before_start)
         self.contact = contact
-        self._compiled: dict[Callable, Callable] | None = None
-        self._compile_kwargs: dict[str, Any] = {}
         self._started = False
         self._houses = house_tensors(houses, n_agents, max_steps, margin, self.device)
         self.moves = torch.tensor(MOVES, device=self.device)
@@ -180,30 +178,6 @@ class CleaningEnv(Played):
         self._set_seed(seed)
         everyone = torch.arange(num_envs, device=self.device)
         self.state = self._begin(everyone, torch.zeros_like(everyone))
-
-    def compile(self, *, warmup: int | None = None, **kwargs: Any) -> "CleaningEnv":
-        """Compile the pure functions of a step, each on its own, and return the env.
-
-        Not `step_and_maybe_reset` as a whole, as TorchRL does: maps written inside a compiled
-        function would be copied at every step. `kwargs` go to `torch.compile`; there is nothing
-        to warm up.
-        """
-        self._compiled, self._compile_kwargs = {}, kwargs
-        return self
-
-    def compiled(self, function: Callable, *, wide: bool = False) -> Callable:
-        """Return the function compiled, once, where the env is; else as it is.
-
-        `wide` says that its innermost loops are long, as those over a view are. Loops over the
-        robots of a world are short: vectorised on a CPU, `advance` took six times as long.
-        """
-        if self._compiled is None:
-            return function
-        if function not in self._compiled:
-            options = {} if wide or self.device.type != "cpu" else {"cpp.simdlen": 1}
-            kwargs = {"options": options, **self._compile_kwargs}
-            self._compiled[function] = torch.compile(function, **kwargs)
-        return self._compiled[function]
 
     def open_houses(self, count: int) -> None:
         """Let episodes that start from now on draw among the first `count` houses alone."""
