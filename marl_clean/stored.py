@@ -25,7 +25,7 @@ from marl_clean.compose import (
 from marl_clean.errors import BadInput
 from marl_clean.manifest import weights_sha256
 from marl_clean.safe_yaml import load_yaml
-from marl_clean.schema import mismatch, parameters
+from marl_clean.schema import constant, mismatch, parameters
 from marl_clean.settings import Root
 
 RUNS = Path("runs")
@@ -87,11 +87,21 @@ def _checkpoint_in(parsed: Sequence[Override]) -> str | None:
 def _check_fits(
     stored: dict[str, Any], wanted: dict[str, Any], run: str, learning_may_change: bool = False
 ) -> None:
-    """Raises BadInput where `wanted` has another network than the run's weights are of."""
-    for room in NETWORK:
+    """Raises BadInput where `wanted` has another network than the run's weights are of.
+
+    A learner's class says in `sized_by` which keys of the env its network depends on.
+    """
+    sized_by = constant(stored["agent"]["_target_"], "sized_by") or []
+    for room in (*NETWORK, "env"):
         for key, old, new in _differences(stored[room], wanted[room], room):
-            of_learning = key in BESIDE_THE_WEIGHTS or (room == "agent" and key != "agent.dueling")
-            if key not in SAME_NETWORK and not (learning_may_change and of_learning):
+            if room == "env":
+                matters = key in sized_by
+            elif learning_may_change:
+                of_learning = room == "agent" and key != "agent.dueling"
+                matters = key not in (*SAME_NETWORK, *BESIDE_THE_WEIGHTS) and not of_learning
+            else:
+                matters = key not in SAME_NETWORK
+            if matters:
                 raise BadInput(
                     f"{key}: {new} does not fit checkpoint {run}, which was trained with {old}; "
                     "leave it out"

@@ -57,6 +57,7 @@ class CentralDqn(DeepQ):
     """
 
     fits = {"comm": ["none"], "reward": ["team"]}
+    sized_by = ["env.n_agents"]
 
     network: JointQNetwork
     sees = (keys.OBSERVATION,)

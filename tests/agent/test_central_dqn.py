@@ -6,6 +6,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from omegaconf import OmegaConf
 from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
@@ -14,6 +15,7 @@ from marl_clean.compose import compose_config
 from marl_clean.errors import BadInput
 from marl_clean.fitting import check_fit
 from marl_clean.networks import decode_joint, encode_joint
+from marl_clean.stored import compose_for_policy
 from tests.agent.parts import transitions
 
 CENTRAL = ["agent=central_dqn", "comm=none", "reward=team", "train_houses=8", "env.num_envs=6"]
@@ -108,6 +110,16 @@ def test_updates_equal_plain_pytorch(double, n_agents):
 def test_six_robots_are_too_many():
     with pytest.raises(BadInput, match=r"env.n_agents=6: .* at most 1,024 .5 robots"):
         make("env.n_agents=6")
+
+
+def test_weights_of_two_robots_do_not_play_with_three(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = compose_config([*CENTRAL, "name=two"])
+    (tmp_path / "runs" / "two").mkdir(parents=True)
+    OmegaConf.save(config, tmp_path / "runs" / "two" / "config.yaml")
+    with pytest.raises(BadInput, match=r"^env.n_agents: 3 does not fit checkpoint two"):
+        compose_for_policy(["checkpoint=two", "env.n_agents=3"])
+    compose_for_policy(["checkpoint=two", "env.num_envs=3"])
 
 
 @pytest.mark.parametrize(
