@@ -56,15 +56,15 @@ def test_a_wrong_setting_trains_nothing(setting, said, tmp_path, monkeypatch):
 def test_a_comparison_trains_what_it_lacks_and_says_its_budget(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     console = Console(file=io.StringIO(), width=200)
-    svg, png = comparison.main("approaches", [*TINY, "seed=0,1"], console)
-    assert len(list((tmp_path / "runs").glob("*/evaluation.json"))) == 6
+    svg, png = comparison.main("sensors", [*TINY, "seed=0,1"], console)
+    assert len(list((tmp_path / "runs").glob("*/evaluation.json"))) == 4
     text = svg.read_text()
-    for label in COMPARISONS["approaches"].rows:
+    for label in COMPARISONS["sensors"].rows:
         assert label in text
     assert re.search(r"budget=smoke: 512 frames, 2 run\(s\) a row, 3 houses", text)
     assert png.read_bytes()[1:4] == b"PNG"
 
     trained = []
     monkeypatch.setattr(train, "measure_all", lambda *given: trained.append(given))
-    assert comparison.main("approaches", [*TINY, "seed=0,1"], console) == [svg, png]
+    assert comparison.main("sensors", [*TINY, "seed=0,1"], console) == [svg, png]
     assert trained == []
