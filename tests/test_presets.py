@@ -8,7 +8,6 @@ import math
 from pathlib import Path
 
 import pytest
-import torch
 from omegaconf import OmegaConf
 
 from marl_clean import cli, compose
@@ -18,6 +17,8 @@ from marl_clean.house.base import draw_houses
 from marl_clean.presets import read_preset
 from marl_clean.schema import instantiate
 from marl_clean.stored import load_config
+
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 EXPERIMENTS = sorted(path.stem for path in (conf_folder() / "experiment").glob("*.yaml"))
 ALL = sorted(path for group in PRESETS for path in (conf_folder() / group).glob("*.yaml"))
@@ -38,14 +39,6 @@ TINY = [
 ]
 ALLOWED = set(MEASURES) | {"seed", "path", "rows", "cols", "free_cells", "max_steps"}
 ALLOWED |= {f"bound_{name}" for name in ("90", "95", "99", "100", "certify")}
-
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="module")

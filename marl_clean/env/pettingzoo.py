@@ -20,6 +20,8 @@ from marl_clean.schema import mismatch
 from marl_clean.settings import Form, Options, Task, Worlds
 from marl_clean.world.random import Purpose, random_bits
 
+# By constructors and registries of others that are given wrong options or names.
+RAISED = (AssertionError, AttributeError, KeyError, RuntimeError, TypeError, ValueError)
 Among = Callable[[int], Bool[Tensor, "agent agent"]]
 
 
@@ -203,7 +205,7 @@ def wrapped(task: str, options: Mapping[str, Any]) -> PettingZooWrapper:
         known = (error.name or "").startswith(f"{package}.")
         missing = f"needs {error.name}, which is not installed; pip install {error.name}"
         reason = f"{package} has no such task" if known else missing
-    except Exception as error:  # code of others may raise anything
+    except RAISED as error:
         reason = f"{type(error).__name__}: {(str(error) or 'it does not begin').splitlines()[0]}"
     raise BadInput(f"env.task={task}: {reason}")
 
@@ -214,7 +216,11 @@ def made(task: str, options: Mapping[str, Any]) -> Any:
     if package == "pettingzoo":
         name, _, version = name.rpartition("_v")
         make = importlib.import_module(package).make
-        return make("parallel", f"{family[0]}/{name}-v{version}", **options)
+        unknown = importlib.import_module("pettingzoo.env_registry.exceptions")
+        try:
+            return make("parallel", f"{family[0]}/{name}-v{version}", **options)
+        except unknown.PettingZooRegistryError as error:
+            raise ValueError(str(error)) from None
     return importlib.import_module(task).parallel_env(**options)
 
 

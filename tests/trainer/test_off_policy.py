@@ -17,6 +17,8 @@ from marl_clean.trainer.off_policy import OffPolicy
 from tests.agent.parts import make_agent, make_encoder
 from tests.trainer.probe import Probe, share_right
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 SETTINGS = {
     "total_frames": 480,
     "frames_per_batch": 48,
@@ -29,14 +31,6 @@ SETTINGS = {
     "checkpoint_interval_frames": 128,
     "select_by": "return",
 }
-
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def train(folder: Path, env=None, evaluate=None, agent=None, loggers=(), **changes) -> Outcome:
