@@ -10,6 +10,7 @@ from torchrl.envs import Compose, RewardSum, Transform, TransformedEnv
 from marl_clean import keys
 from marl_clean.agent.base import Agent
 from marl_clean.checkpoint import fit_weights, load_weights
+from marl_clean.comm.base import Comm
 from marl_clean.compose import checked, plays_houses
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.errors import BadInput
@@ -17,7 +18,7 @@ from marl_clean.fitting import check_fit
 from marl_clean.house.base import Houses, draw_bank, draw_houses, smallest_first, split_seeds
 from marl_clean.manifest import weights_sha256
 from marl_clean.planner.base import Planner
-from marl_clean.schema import instantiate
+from marl_clean.schema import instantiate, takes
 from marl_clean.settings import HouseOrder
 from marl_clean.stored import find_run, load_config
 
@@ -104,6 +105,15 @@ def make_planner(cfg: DictConfig, env: TransformedEnv) -> Planner:
     return planner.bind(env.base_env)
 
 
+def make_comm(section: DictConfig, in_features: int, seen: torch.Size) -> Comm:
+    """Build a scheme for features of this length; `seen` is the shape of an observation.
+
+    A scheme that sends observations asks by `observed` how many numbers one has.
+    """
+    asked = {"observed": seen.numel()} if takes(section["_target_"], "observed") else {}
+    return instantiate(section, in_features=in_features, **asked)
+
+
 def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     """Build encoder, communication and learner for what robots see in `env`.
 
@@ -115,7 +125,7 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     check_fit(cfg)
     seen = env.observation_spec[keys.OBSERVATION].shape[2:]
     encoder = instantiate(cfg.encoder, observation_shape=seen)
-    comm = instantiate(cfg.comm, in_features=encoder.out_features)
+    comm = make_comm(cfg.comm, encoder.out_features, seen)
     return instantiate(
         cfg.agent,
         encoder=encoder,

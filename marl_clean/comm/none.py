@@ -9,6 +9,8 @@ from marl_clean.comm.base import Comm, Width
 class Silent(Comm):
     """Return the features unchanged; messages are empty and cost nothing."""
 
+    rounds = 0
+
     def __init__(self, in_features: Width) -> None:
         super().__init__()
         self.out_features = in_features

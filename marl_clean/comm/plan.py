@@ -5,9 +5,8 @@ from typing import Literal
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
-from torch.nn import functional
 
-from marl_clean.comm.base import BITS_PER_FLOAT, Comm, Width
+from marl_clean.comm.base import Comm, Width, bits_sent, dense, nearest_live, sum_live
 from marl_clean.settings import PositiveInt
 
 
@@ -32,6 +31,8 @@ class Plan(Comm):
         max_neighbours: places of `ordered`; further neighbours are not heard.
     """
 
+    rounds = 1
+
     def __init__(
         self,
         in_features: Width,
@@ -43,15 +44,12 @@ class Plan(Comm):
     ) -> None:
         super().__init__()
         self.places = max_neighbours if combine == "ordered" else None
-        self.message_bits = BITS_PER_FLOAT * message_dim
         self.message = nn.Sequential(
             nn.Linear(in_features, hidden), nn.ReLU(), nn.Linear(hidden, message_dim)
         )
-        self.received = nn.Sequential(nn.Linear(message_dim, received), nn.ReLU())
-        self.own = nn.Sequential(nn.Linear(in_features, hidden), nn.ReLU())
-        self.join = nn.Sequential(
-            nn.Linear(hidden + received * (self.places or 1), hidden), nn.ReLU()
-        )
+        self.received = dense(message_dim, received)
+        self.own = dense(in_features, hidden)
+        self.join = dense(hidden + received * (self.places or 1), hidden)
         self.out_features = hidden
 
     def forward(
@@ -72,34 +70,4 @@ class Plan(Comm):
         else:
             heard = nearest_live(received, adjacency, distance_rank, self.places)
         joined = self.join(torch.cat([self.own(feature), heard], dim=-1))
-        bits = self.message_bits * adjacency.sum(-1, keepdim=True).to(feature.dtype)
-        return joined, message, bits
-
-
-def sum_live(
-    value: Float[Tensor, "*batch agent width"],
-    adjacency: Bool[Tensor, "*batch agent agent"],
-) -> Float[Tensor, "*batch agent width"]:
-    """Return for each robot the sum of its live neighbours' values; 0 without any."""
-    return torch.where(adjacency.unsqueeze(-1), value.unsqueeze(-3), 0.0).sum(-2)
-
-
-def nearest_live(
-    value: Float[Tensor, "*batch agent width"],
-    adjacency: Bool[Tensor, "*batch agent agent"],
-    distance_rank: Int[Tensor, "*batch agent agent"],
-    places: int,
-) -> Float[Tensor, "*batch agent joined"]:
-    """Return for each robot its live neighbours' values side by side, nearest first.
-
-    There is room for `places` of them; a place without a robot holds zeros.
-    """
-    agents, width = value.shape[-2:]
-    taken = min(places, agents)
-    beyond_all = torch.full_like(distance_rank, agents)
-    rank, other = torch.where(adjacency, distance_rank, beyond_all).sort(dim=-1)
-    rank, other = rank[..., :taken, None], other[..., :taken, None]
-    spread = value.unsqueeze(-3).expand(*adjacency.shape, width)
-    gathered = spread.gather(-2, other.expand(*other.shape[:-1], width))
-    heard = torch.where(rank < agents, gathered, 0.0).flatten(-2)
-    return functional.pad(heard, (0, (places - taken) * width))
+        return joined, message, bits_sent(message.shape[-1], adjacency, feature.dtype)

@@ -1,18 +1,25 @@
 """Small networks and random frames for the tests of learners."""
 
 import torch
+from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torch import Tensor
 
-from marl_clean import keys
+from marl_clean import compose, keys
 from marl_clean.agent.iql import Iql
+from marl_clean.build import make_comm as build_comm
 from marl_clean.comm.base import Comm
-from marl_clean.comm.none import Silent
-from marl_clean.comm.plan import Plan
 from marl_clean.encoder.cnn import Cnn
 
 CODES = torch.tensor([-1.0, -0.2, 0.0, 0.3, 0.5, 1.0])
 SIDE = 9
+SMALL = {
+    "plan": {"hidden": 24, "received": 16},
+    "zeroed": {"hidden": 24, "received": 16},
+    "full_state": {"hidden": 24, "received": 24},
+    "commnet": {"hidden": 24},
+    "dgn": {"hidden": 24, "heads": 2, "head_dim": 8},
+}
 
 
 def make_encoder(side: int = SIDE, **changes) -> Cnn:
@@ -30,18 +37,12 @@ def make_encoder(side: int = SIDE, **changes) -> Cnn:
     return Cnn(torch.Size([1, side, side]), **(settings | changes))
 
 
-def make_comm(level: str, encoder: Cnn) -> Comm:
+def make_comm(level: str, encoder: Cnn, side: int = SIDE) -> Comm:
     torch.manual_seed(1)
-    if level == "none":
-        return Silent(encoder.out_features)
-    return Plan(
-        encoder.out_features,
-        message_dim=32,
-        hidden=24,
-        received=16,
-        combine="ordered",
-        max_neighbours=3,
+    section = OmegaConf.merge(
+        OmegaConf.load(compose.conf_folder() / "comm" / f"{level}.yaml"), SMALL.get(level, {})
     )
+    return build_comm(section, encoder.out_features, torch.Size([1, side, side]))
 
 
 def make_agent(comm: str = "plan", side: int = SIDE, encoder: Cnn | None = None, **changes) -> Iql:
@@ -65,7 +66,7 @@ def make_agent(comm: str = "plan", side: int = SIDE, encoder: Cnn | None = None,
     }
     encoder = encoder or make_encoder(side)
     torch.manual_seed(2)
-    return Iql(encoder, make_comm(comm, encoder), **(settings | changes))
+    return Iql(encoder, make_comm(comm, encoder, side), **(settings | changes))
 
 
 def frames(count: int, n_agents: int = 2, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:

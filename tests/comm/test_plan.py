@@ -2,7 +2,7 @@
 
 import torch
 
-from marl_clean.comm.plan import nearest_live, sum_live
+from marl_clean.comm.base import nearest_live, sum_live
 
 VALUE = torch.tensor([[1.0], [2.0], [3.0], [4.0]])
 RANK = torch.tensor([[0, 3, 1, 2], [2, 0, 1, 3], [1, 2, 0, 3], [1, 3, 2, 0]])

@@ -1,115 +1,76 @@
-"""What every communication scheme must hold, for every level of conf/comm."""
+"""Every level of conf/comm, and its variants, holds the contract of communication schemes."""
 
-from pathlib import Path
+from collections.abc import Callable
 
 import pytest
 import torch
-from omegaconf import OmegaConf
 
-from marl_clean.schema import instantiate
-
-FEATURES = 12
-CONF = Path(__file__).parents[2] / "conf" / "comm"
-VARIANTS = [(path.stem, {}) for path in sorted(CONF.glob("*.yaml"))] + [
-    ("plan", {"combine": "sum"}),
-    ("plan", {"max_neighbours": 1}),
-]
-PER_BATCH = [(), (1,), (5,), (2, 3)]
-
-
-@pytest.fixture(params=VARIANTS, ids=str)
-def comm(request):
-    level, changes = request.param
-    torch.manual_seed(0)
-    section = OmegaConf.merge(OmegaConf.load(CONF / f"{level}.yaml"), changes)
-    return instantiate(section, in_features=FEATURES).double()
+from marl_clean.comm.base import Comm
+from tests.comm.contract import (
+    CONTRACT,
+    DILUTED,
+    VARIANTS,
+    draw,
+    make,
+    robots_out_of_reach_may_be_added_anywhere,
+)
 
 
-def draw(*batch: int, n_agents: int, share: float = 0.5, seed: int = 0):
-    """Features, a symmetric graph, and the ranks that random places give."""
-    generator = torch.Generator().manual_seed(seed)
-    rand = torch.rand(*batch, n_agents, n_agents, generator=generator)
-    live = (rand < share).triu(1)
-    place = torch.rand(*batch, n_agents, 2, generator=generator)
-    rank = torch.cdist(place, place).argsort(-1).argsort(-1)
-    feature = torch.randn(*batch, n_agents, FEATURES, generator=generator, dtype=torch.float64)
-    return feature, live | live.mT, rank
+def name_of(value) -> str:
+    if callable(value):
+        return value.__name__
+    level, changes = value
+    return " ".join([level, *(f"{key}={change}" for key, change in changes.items())])
 
 
-@pytest.mark.parametrize("batch", PER_BATCH)
-@pytest.mark.parametrize("n_agents", [1, 2, 5])
-def test_shapes(comm, batch, n_agents):
-    feature, message, bits = comm(*draw(*batch, n_agents=n_agents))
-    assert feature.shape == (*batch, n_agents, comm.out_features)
-    assert message.shape[:-1] == (*batch, n_agents)
-    assert bits.shape == (*batch, n_agents, 1)
+@pytest.mark.parametrize("check", CONTRACT, ids=name_of)
+@pytest.mark.parametrize("variant", VARIANTS + DILUTED, ids=name_of)
+def test_the_contract(variant: tuple[str, dict], check: Callable[[Comm], None]) -> None:
+    check(make(variant[0], **variant[1]))
 
 
-@pytest.mark.parametrize("n_agents", [2, 3, 6])
-def test_relabelling_the_robots_relabels_the_result(comm, n_agents):
-    feature, live, rank = draw(4, n_agents=n_agents)
-    order = torch.randperm(n_agents, generator=torch.Generator().manual_seed(1))
-    relabelled = comm(feature[:, order], live[:, order][..., order], rank[:, order][..., order])
-    for mine, theirs in zip(comm(feature, live, rank), relabelled, strict=True):
-        torch.testing.assert_close(mine[:, order], theirs)
+@pytest.mark.parametrize("variant", VARIANTS, ids=name_of)
+def test_robots_out_of_reach_may_be_added_anywhere(variant: tuple[str, dict]) -> None:
+    robots_out_of_reach_may_be_added_anywhere(make(variant[0], **variant[1]))
 
 
-def test_a_dead_edge_has_no_influence_not_even_nan_and_no_gradient(comm):
-    feature, live, rank = draw(6, n_agents=4)
-    before = comm(feature, live, rank)[0]
-    for sender in range(4):
-        deaf = ~live[:, :, sender]
-        deaf[:, sender] = False
-        poisoned = feature.clone()
-        poisoned[:, sender] = torch.nan
-        assert torch.equal(comm(poisoned, live, rank)[0][deaf], before[deaf])
-        inputs = feature.clone().requires_grad_()
-        comm(inputs, live, rank)[0][deaf].sum().backward()
-        reached = inputs.grad[:, sender][~live[:, sender].any(-1)]
-        assert torch.equal(reached, torch.zeros_like(reached))
-
-
-def test_gradient_crosses_exactly_the_live_edges_heard(comm):
-    feature, live, rank = draw(3, n_agents=3, share=0.5)
-    feature.requires_grad_()
-    joined, message, _ = comm(feature, live, rank)
-    for world in range(3):
-        for receiver in range(3):
-            (grad,) = torch.autograd.grad(joined[world, receiver].sum(), feature, retain_graph=True)
-            touched = grad.abs().sum(-1).ne(0)
-            others = torch.arange(3) != receiver
-            allowed = live[world, receiver]
-            assert not touched[world][others & ~allowed].any()
-            assert not touched[torch.arange(3) != world].any()
-            if message.shape[-1] and allowed.any():
-                assert touched[world][allowed].any()
-
-
-def test_without_live_edge_the_others_may_be_anyone_or_missing(comm):
-    feature, live, rank = draw(3, n_agents=4, share=0.0)
-    alone = comm(feature[:, :1], live[:, :1, :1], rank[:, :1, :1])[0]
-    torch.testing.assert_close(comm(feature, live, rank)[0][:, :1], alone)
-
-
-def test_robots_out_of_reach_may_be_added_anywhere(comm):
-    feature, live, rank = draw(3, n_agents=5, share=0.7)
+@pytest.mark.parametrize("variant", DILUTED, ids=name_of)
+def test_robots_out_of_reach_dilute_where_all_others_divide(variant: tuple[str, dict]) -> None:
+    comm = make(variant[0], **variant[1])
+    with pytest.raises(AssertionError):
+        robots_out_of_reach_may_be_added_anywhere(comm)
+    hidden, live, _ = draw(3, n_agents=5, share=0.7)
     live[:, 2], live[:, :, 2] = False, False
     kept = torch.tensor([0, 1, 3, 4])
-    fewer = rank[:, kept][..., kept].argsort(-1).argsort(-1)
-    result = comm(feature[:, kept], live[:, kept][..., kept], fewer)
-    for mine, theirs in zip(comm(feature, live, rank), result, strict=True):
-        torch.testing.assert_close(mine[:, kept], theirs)
+    fewer = comm.mean(hidden[:, kept], live[:, kept][..., kept])
+    torch.testing.assert_close(comm.mean(hidden, live)[:, kept], fewer * 3 / 4)
 
 
-def test_a_batch_is_its_worlds_one_by_one(comm):
-    inputs = draw(5, n_agents=3)
-    together = comm(*inputs)
-    for world in range(5):
-        for mine, theirs in zip(together, comm(*(x[world] for x in inputs)), strict=True):
-            torch.testing.assert_close(mine[world], theirs)
+def test_the_zeroed_twin_has_the_parameters_of_plan() -> None:
+    for combine in ("ordered", "sum"):
+        plan, zeroed = make("plan", combine=combine), make("zeroed", combine=combine)
+        mine, theirs = zeroed.state_dict(), plan.state_dict()
+        assert list(mine) == list(theirs)
+        assert all(torch.equal(mine[name], theirs[name]) for name in mine)
+        feature, live, rank = draw(4, n_agents=4)
+        nobody = torch.zeros_like(live)
+        expected = plan(feature, nobody, rank)[0]
+        assert torch.equal(zeroed(feature, live, rank)[0], expected)
+        assert not torch.equal(plan(feature, live, rank)[0], expected)
 
 
-def test_bits_are_those_of_the_messages_sent(comm):
-    feature, live, rank = draw(4, n_agents=5)
-    _, message, bits = comm(feature, live, rank)
-    assert torch.equal(bits, 32 * message.shape[-1] * live.sum(-1, keepdim=True).to(bits.dtype))
+@pytest.mark.parametrize("level", ["plan", "zeroed", "full_state", "commnet", "tarmac", "dgn"])
+def test_every_weight_gets_a_gradient(level: str) -> None:
+    comm = make(level)
+    comm(*draw(4, n_agents=4))[0].sum().backward()
+    assert all(weight.grad is not None for weight in comm.parameters())
+
+
+@pytest.mark.parametrize("level", ["full_state", "commnet", "tarmac", "dgn"])
+def test_detached_messages_change_gradients_only(level: str) -> None:
+    inputs = draw(4, n_agents=4)
+    attached, detached = make(level), make(level, detach=True)
+    for mine, theirs in zip(attached(*inputs), detached(*inputs), strict=True):
+        assert torch.equal(mine, theirs)
+    detached(*inputs)[0].sum().backward()
+    assert all(weight.grad is not None for weight in detached.parameters())

@@ -38,7 +38,7 @@ def train(folder, overrides, die_after: int | None = None) -> None:
     env = build.make_env(cfg)
     shape = env.observation_spec[keys.OBSERVATION].shape[2:]
     encoder = instantiate(cfg.encoder, observation_shape=shape)
-    comm = instantiate(cfg.comm, in_features=encoder.out_features)
+    comm = build.make_comm(cfg.comm, encoder.out_features, shape)
     agent = instantiate(cfg.agent, encoder=encoder, comm=comm)
     if die_after is not None:
         step, played = env.base_env._step, 0

@@ -1,0 +1,77 @@
+"""CommNet: robots hear the mean of the others' hidden states, round after round."""
+
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from marl_clean.comm.base import Comm, Width, bits_sent, outgoing, sum_live
+from marl_clean.settings import PositiveInt
+
+
+class CommNet(Comm):
+    """Hear the mean of the others' hidden states, in rounds.
+
+        x_i = W_x feature_i,    h_i = tanh(x_i)
+        each round: h'_i = tanh(x_i + F h_i + C m_i),    m_i = sum over live edges of h_j / d_i
+        live:   d_i = the number of i's live edges, m_i = 0 without any       (CommNet)
+        others: d_i = n - 1, all other robots, so that silence dilutes        (IC3Net)
+
+    F and C are each round's own. The hidden state is the message. With `others` the result
+    depends on how many robots there are, also out of reach.
+
+    Source: arXiv 1605.07736; `others`: arXiv 1812.09755.
+
+    Args:
+        in_features: length of the encoder's features.
+        hidden: width of the hidden state, and so floats in a message.
+        rounds: messages a step; each is paid for.
+        divisor: what the sum over live edges is divided by.
+        detach: a receiver's loss does not reach the sender's hidden state.
+    """
+
+    def __init__(
+        self,
+        in_features: Width,
+        hidden: PositiveInt,
+        rounds: PositiveInt,
+        divisor: Literal["live", "others"],
+        detach: bool,
+    ) -> None:
+        super().__init__()
+        self.rounds, self.divisor, self.detach = rounds, divisor, detach
+        self.skip = nn.Linear(in_features, hidden)
+        self.own = nn.ModuleList(nn.Linear(hidden, hidden, bias=False) for _ in range(rounds))
+        self.heard = nn.ModuleList(nn.Linear(hidden, hidden, bias=False) for _ in range(rounds))
+        self.out_features = hidden
+
+    def forward(
+        self,
+        feature: Float[Tensor, "*batch agent feature"],
+        adjacency: Bool[Tensor, "*batch agent other"],
+        distance_rank: Int[Tensor, "*batch agent other"],
+    ) -> tuple[
+        Float[Tensor, "*batch agent joined"],
+        Float[Tensor, "*batch agent message"],
+        Float[Tensor, "*batch agent 1"],
+    ]:
+        """Return the last hidden states, those sent, and 32 bits a float, round and live edge."""
+        skip = self.skip(feature)
+        hidden, sent = skip.tanh(), []
+        for own, heard in zip(self.own, self.heard, strict=True):
+            sent.append(outgoing(hidden, self.detach))
+            hidden = torch.tanh(skip + own(hidden) + heard(self.mean(sent[-1], adjacency)))
+        message = torch.cat(sent, dim=-1)
+        return hidden, message, bits_sent(message.shape[-1], adjacency, feature.dtype)
+
+    def mean(
+        self,
+        hidden: Float[Tensor, "*batch agent hidden"],
+        adjacency: Bool[Tensor, "*batch agent agent"],
+    ) -> Float[Tensor, "*batch agent hidden"]:
+        """Return the sum over live edges, divided as `divisor` says; 0 without any."""
+        total = sum_live(hidden, adjacency)
+        if self.divisor == "others":
+            return total / max(1, adjacency.shape[-1] - 1)
+        return total / adjacency.sum(-1, keepdim=True).clamp(min=1)

@@ -1,0 +1,83 @@
+"""The paper's first option: robots in contact share all that they see (§3.4)."""
+
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from marl_clean.comm.base import (
+    Comm,
+    Width,
+    bits_sent,
+    dense,
+    nearest_live,
+    outgoing,
+    sum_live,
+)
+from marl_clean.settings import PositiveInt
+
+
+class FullState(Comm):
+    """Robots in contact share their whole observation: no bottleneck, an upper bound.
+
+        r_j = relu(W_r h_j)                       j's observation, through the same encoder
+        ordered: c_i = [r_j of i's nearest live edge, of the next, ..., 0 for an empty place]
+        sum:     c_i = sum over live edges of r_j
+        h'_i = relu(W [relu(W_o h_i), c_i])
+
+    All robots share the encoder, so the message is told as its feature h_j; what would be sent
+    is the observation, and the bits are those of its numbers.
+
+    Source: paper §3.4, first option.
+
+    Args:
+        in_features: length of the encoder's features.
+        observed: numbers in one robot's observation.
+        hidden: width of the own block and of the joined layer.
+        received: width of the block each neighbour's features go through.
+        combine: `ordered` takes up to `max_neighbours`, nearest first; `sum` any number.
+        max_neighbours: places of `ordered`; further neighbours are not heard.
+        detach: a receiver's loss does not reach what the encoder makes of the sender's.
+    """
+
+    rounds = 1
+
+    def __init__(
+        self,
+        in_features: Width,
+        observed: Width,
+        hidden: PositiveInt,
+        received: PositiveInt,
+        combine: Literal["ordered", "sum"],
+        max_neighbours: PositiveInt,
+        detach: bool,
+    ) -> None:
+        super().__init__()
+        self.observed = observed
+        self.places = max_neighbours if combine == "ordered" else None
+        self.detach = detach
+        self.received = dense(in_features, received)
+        self.own = dense(in_features, hidden)
+        self.join = dense(hidden + received * (self.places or 1), hidden)
+        self.out_features = hidden
+
+    def forward(
+        self,
+        feature: Float[Tensor, "*batch agent feature"],
+        adjacency: Bool[Tensor, "*batch agent other"],
+        distance_rank: Int[Tensor, "*batch agent other"],
+    ) -> tuple[
+        Float[Tensor, "*batch agent joined"],
+        Float[Tensor, "*batch agent message"],
+        Float[Tensor, "*batch agent 1"],
+    ]:
+        """Return the joined features, those sent, and 32 bits a number observed and live edge."""
+        message = outgoing(feature, self.detach)
+        received = self.received(message)
+        if self.places is None:
+            heard = sum_live(received, adjacency)
+        else:
+            heard = nearest_live(received, adjacency, distance_rank, self.places)
+        joined = self.join(torch.cat([self.own(feature), heard], dim=-1))
+        return joined, message, bits_sent(self.observed, adjacency, feature.dtype)
