@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import partial
@@ -491,10 +491,16 @@ class World:
 # --------------------------------------------------------------------------- nearest_unknown
 
 
-def search(world: World, robot: int) -> dict[Place, tuple[int, int | None]]:
+Orders = Sequence[Sequence[int]]  # for each robot: in which it tries directions
+
+
+def search(
+    world: World, robot: int, orders: Orders = (), closed: Collection[Place] = ()
+) -> dict[Place, tuple[int, int | None]]:
     """{place: (steps, first action)} in the order breadth-first search finds them.
 
-    Over cells not known to be blocked and not occupied now; ties up, right, down, left.
+    Over cells not known to be blocked, not occupied now and not `closed`; ties in the robot's
+    order, which is up, right, down, left if not given.
     """
     known, start = world.map_of(robot), world.positions[robot]
     found: dict[Place, tuple[int, int | None]] = {start: (0, None)}
@@ -502,8 +508,9 @@ def search(world: World, robot: int) -> dict[Place, tuple[int, int | None]]:
     while queue:
         place = queue.popleft()
         steps, first = found[place]
-        for action, reached in enumerate(neighbours(place)):
-            blocked = reached in known and known[reached].blocked
+        for action in orders[robot] if orders else range(4):
+            reached = neighbour(place, action)
+            blocked = reached in closed or (reached in known and known[reached].blocked)
             open_now = world.in_matrix(reached) and not blocked and reached not in world.positions
             if open_now and reached not in found:
                 found[reached] = steps + 1, action if first is None else first
@@ -511,16 +518,16 @@ def search(world: World, robot: int) -> dict[Place, tuple[int, int | None]]:
     return found
 
 
-def targets(world: World, robot: int) -> list[Place]:
+def targets(world: World, robot: int, orders: Orders = ()) -> list[Place]:
     """The unknown cells it reaches, or where there are none the dirty ones; nearest first."""
     known = world.map_of(robot)
-    others = [place for place in search(world, robot) if place != world.positions[robot]]
+    others = [place for place in search(world, robot, orders) if place != world.positions[robot]]
     unknown = [place for place in others if place not in known]
     dirty = [p for p in others if value(known.get(p), world.steps, world.settings) == DIRTY]
     return unknown or dirty
 
 
-def assigned(world: World, assignment: Assignment) -> list[Place | None]:
+def assigned(world: World, assignment: Assignment, orders: Orders = ()) -> list[Place | None]:
     """Each robot's target; None where nothing was assigned to it.
 
     Greedy: by ascending (steps, robot, order of discovery), each target to one robot.
@@ -528,8 +535,8 @@ def assigned(world: World, assignment: Assignment) -> list[Place | None]:
     fall. A robot needs to look at its n nearest only: n - 1 others cannot take them all.
     """
     robots = range(world.n_agents)
-    found = [search(world, robot) for robot in robots]
-    options = [targets(world, robot) for robot in robots]
+    found = [search(world, robot, orders) for robot in robots]
+    options = [targets(world, robot, orders) for robot in robots]
     taken: list[Place | None] = [None] * world.n_agents
     if assignment is Assignment.NONE:
         return [places[0] if places else None for places in options]
@@ -563,16 +570,18 @@ def assignment_cost(world: World, places: Sequence[Place | None]) -> tuple[int, 
     return world.n_agents - len(steps), sum(steps)
 
 
-def nearest_unknown(world: World, assignment: Assignment = Assignment.NONE) -> list[int | None]:
+def nearest_unknown(
+    world: World, assignment: Assignment = Assignment.NONE, orders: Orders = ()
+) -> list[int | None]:
     """One action a robot, None where any will do (nothing unknown or dirty is reachable).
 
     A robot that the assignment left without a target goes to its own nearest.
     """
     actions: list[int | None] = []
-    for robot, place in enumerate(assigned(world, assignment)):
-        own = targets(world, robot)
+    for robot, place in enumerate(assigned(world, assignment, orders)):
+        own = targets(world, robot, orders)
         goal = place if place is not None else (own[0] if own else None)
-        actions.append(None if goal is None else search(world, robot)[goal][1])
+        actions.append(None if goal is None else search(world, robot, orders)[goal][1])
     return actions
 
 

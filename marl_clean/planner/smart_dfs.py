@@ -143,7 +143,7 @@ def read(matrix: Tensor, cell: Int[Tensor, "env agent place"]) -> Tensor:
 def layers_of(blocked: Grid) -> Distance:
     """Return each cell's distance to the nearest known wall, diagonals counted as 1; 0 in walls.
 
-    Where no wall is known at all every cell is of layer 1.
+    Where no wall is known at all, all cells are of one layer.
     """
     layers = torch.zeros_like(blocked, dtype=torch.int32)
     near = blocked

@@ -8,11 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from omegaconf import OmegaConf
 
-from marl_clean.compose import compose_config
+from marl_clean import checks
+from marl_clean.compose import checked, compose_config
+from marl_clean.errors import BadInput
 from marl_clean.evaluation.bounds import bound_100
 from marl_clean.evaluation.evaluator import measure_planner
 from marl_clean.evaluation.optimum import optimal_T_100
+from marl_clean.evaluation.records import counted
 from tests.reference import Place, neighbour
 from tests.world.strategies import grid, is_connected, several
 
@@ -117,3 +121,23 @@ def test_a_large_house_and_one_with_moving_furniture_have_no_optimum() -> None:
         assert all(house["optimum_100"] is None for house in entry["houses"])
         assert all(house["gap_100"] is None for house in entry["houses"])
         assert entry["summary"]["gap_100"]["mean"] is None
+
+
+def test_a_house_not_finished_counts_as_its_max_steps_in_the_gap() -> None:
+    house = {"max_steps": 60, "T_100": None, "optimum_100": 20, "gap_100": None}
+    assert counted(house, "gap_100") == 3.0
+    assert counted({**house, "optimum_100": None}, "gap_100") is None
+    assert counted({**house, "T_100": 30, "gap_100": 1.5}, "gap_100") == 1.5
+
+
+def test_without_or_tools_the_optimum_is_bad_input_before_anything_is_played(monkeypatch) -> None:
+    monkeypatch.setattr(checks, "find_spec", lambda name: None)
+    with pytest.raises(BadInput, match=r"evaluation.optimum=true.*marl-clean\[optimum\]"):
+        checks.check_optimum(compose_config(["evaluation.optimum=true"]))
+    checks.check_optimum(compose_config([]))
+
+
+def test_the_config_of_an_earlier_run_may_lack_the_key() -> None:
+    earlier = OmegaConf.to_container(compose_config(SMALL))
+    del earlier["evaluation"]["optimum"]
+    assert "gap_100" not in measure_planner(checked(earlier))["summary"]

@@ -7,9 +7,11 @@ from hypothesis import strategies as st
 from torchrl.envs.utils import step_mdp
 
 from marl_clean import keys
+from marl_clean.planner import nearest_unknown as planner_module
+from marl_clean.planner.base import Planner
 from marl_clean.planner.nearest_unknown import NearestUnknown
 from marl_clean.planner.random import Random
-from marl_clean.settings import Assignment
+from marl_clean.settings import Assignment, Ties
 from tests import reference
 from tests.world.play import env_of, start
 from tests.world.strategies import Case, cases
@@ -17,11 +19,11 @@ from tests.world.strategies import Case, cases
 STEPS = 12
 
 
-def follow(case: Case, assignment: Assignment, compare) -> None:
+def follow(case: Case, planner: Planner, compare) -> None:
     """Let the planner play; at each step `compare` before the reference steps."""
     env = env_of([case])
     world = case.world()
-    planner = NearestUnknown(assignment).bind(env.base_env)
+    planner.bind(env.base_env)
     tensordict = start(env, [case])
     for _ in range(STEPS):
         tensordict = planner(tensordict)
@@ -43,7 +45,7 @@ def test_actions_are_those_of_breadth_first_search(case: Case, assignment: Assig
         ):
             assert expected is None or action == expected
 
-    follow(case, assignment, compare)
+    follow(case, NearestUnknown(assignment), compare)
 
 
 @given(case=cases(max_agents=3))
@@ -57,7 +59,71 @@ def test_hungarian_targets_cost_what_the_best_assignment_costs(case: Case) -> No
         if left_out == 0:
             assert int((planner.distances(planner.rank())[0].amin(-1) + 1).sum()) == steps
 
-    follow(case, Assignment.HUNGARIAN, compare)
+    follow(case, NearestUnknown(Assignment.HUNGARIAN), compare)
+
+
+@given(
+    case=cases(max_agents=4),
+    assignment=st.sampled_from([Assignment.NONE, Assignment.GREEDY]),
+    ties=st.sampled_from([Ties.STRAIGHT, Ties.ROTATED]),
+)
+@hypothesis_settings(max_examples=40, deadline=None)
+def test_ties_are_broken_in_the_robots_own_order(
+    case: Case, assignment: Assignment, ties: Ties
+) -> None:
+    places, headings = list(case.starts), [-1] * len(case.starts)
+
+    def compare(planner: NearestUnknown, world: reference.World, actions: list[int]) -> None:
+        orders = []
+        for robot, place in enumerate(world.positions):
+            if place != places[robot]:
+                headings[robot] = reference.neighbours(places[robot]).index(place)
+                places[robot] = place
+            fixed = [(robot + turn) % 4 if ties is Ties.ROTATED else turn for turn in range(4)]
+            first = headings[robot] if ties is Ties.STRAIGHT else -1
+            orders.append(sorted(fixed, key=lambda action: action != first))
+        expected = reference.nearest_unknown(world, assignment, orders)
+        for action, wanted in zip(actions, expected, strict=True):
+            assert wanted is None or action == wanted
+
+    follow(case, NearestUnknown(assignment, ties), compare)
+
+
+def likely_walls(known: reference.Map) -> set[reference.Place]:
+    """Unknown cells with two cells of known wall in line on either side."""
+    walls = {place for place, record in known.items() if record.blocked}
+    beside = {place for wall in walls for place in reference.neighbours(wall)} - set(known)
+    return {
+        (row, col)
+        for row, col in beside
+        if {(row - 2, col), (row - 1, col), (row + 1, col), (row + 2, col)} <= walls
+        or {(row, col - 2), (row, col - 1), (row, col + 1), (row, col + 2)} <= walls
+    }
+
+
+@given(case=cases(max_agents=3))
+@hypothesis_settings(max_examples=40, deadline=None)
+def test_what_is_probably_wall_comes_after_all_that_is_not(case: Case) -> None:
+    def compare(planner: NearestUnknown, world: reference.World, actions: list[int]) -> None:
+        plain = reference.nearest_unknown(world)
+        for robot, action in enumerate(actions):
+            known = world.map_of(robot)
+            found = reference.search(world, robot, closed=likely_walls(known))
+            unknown = [place for place in found if place not in known]
+            wanted = found[unknown[0]][1] if unknown else plain[robot]
+            assert wanted is None or action == wanted
+
+    follow(case, NearestUnknown(wall_prior=True), compare)
+
+
+def test_a_gap_between_two_pieces_of_wall_is_probably_wall() -> None:
+    walls = torch.zeros((1, 1, 5, 7), dtype=torch.bool)
+    walls[0, 0, 1, [0, 1, 3, 4]] = True
+    assert planner_module.likely_walls(walls).nonzero()[:, 2:].tolist() == [[1, 2]]
+    upright = walls.transpose(2, 3)
+    assert planner_module.likely_walls(upright).nonzero()[:, 2:].tolist() == [[2, 1]]
+    walls[0, 0, 1, 0] = False  # one cell on that side is not enough
+    assert not planner_module.likely_walls(walls).any()
 
 
 def test_random_draws_each_robot_its_own_actions() -> None:

@@ -1,110 +1,182 @@
-"""SmartDFS keeps the bound that its authors prove, on drawn grid polygons without obstacles."""
+"""SmartDFS is the paper's recursion, step by step, and keeps the paper's bound."""
 
-import random
+from itertools import pairwise
 
-import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from scipy import ndimage
+from torchrl.envs.utils import step_mdp
 
-from marl_clean.env.cleaning import CleaningEnv
-from marl_clean.evaluation.bounds import walking_distance
-from marl_clean.house.base import Houses
-from marl_clean.planner.base import Planner
-from marl_clean.planner.boustrophedon import Boustrophedon
+from marl_clean.keys import ACTION
 from marl_clean.planner.smart_dfs import SmartDFS
-from marl_clean.settings import HouseOrder, Sensor
+from marl_clean.settings import Sensor
+from tests import reference
+from tests.reference import Place, neighbour, neighbours, walking_distances
+from tests.world.play import env_of
+from tests.world.strategies import Case, grid, is_connected
 
-EIGHT = np.ones((3, 3), dtype=bool)
-SHAPES = ((1, 9), (9, 1), (3, 7), (7, 3), (6, 6), (8, 11), (12, 12))
-
-
-def is_simple_polygon(free: np.ndarray) -> bool:
-    """One connected region, and no obstacle that does not touch the outer wall."""
-    regions = ndimage.label(free)[1]
-    walls = ndimage.label(np.pad(~free, 1, constant_values=True), EIGHT)[1]
-    return regions == 1 and walls == 1 and free.sum() >= 2
+Polygon = tuple[set[Place], tuple[int, int], Place]  # free cells, rows and columns, start
+CIRCLE = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
 
 
-def polygon(draw: random.Random) -> np.ndarray:
-    """A rectangle of cells with rectangles cut off, as long as it stays a simple polygon."""
-    rows, cols = draw.choice(SHAPES)
-    free = np.ones((rows, cols), dtype=bool)
-    for _ in range(draw.randrange(25)):
-        height, width = draw.randint(1, max(1, rows // 2)), draw.randint(1, max(1, cols // 2))
-        row, col = draw.randrange(rows), draw.randrange(cols)
-        cut = free.copy()
-        cut[row : row + height, col : col + width] = False
-        free = cut if is_simple_polygon(cut) else free
-    return free
+def touching(place: Place) -> list[Place]:
+    return [(place[0] + down, place[1] + right) for down, right in CIRCLE]
 
 
-def boundary(free: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
-    """How many edges of free cells are walls, and the cells that have one."""
-    padded = np.pad(free, 1)
-    beside = (padded[:-2, 1:-1], padded[1:-1, 2:], padded[2:, 1:-1], padded[1:-1, :-2])
-    walls = np.stack([~side & free for side in beside])
-    return int(walls.sum()), [(int(row), int(col)) for row, col in np.argwhere(walls.any(0))]
+def has_no_obstacle(free: set[Place], rows: int, cols: int) -> bool:
+    """Whether every blocked cell hangs together, also over corners, with what is outside."""
+    blocked = {(r, c) for r in range(-1, rows + 1) for c in range(-1, cols + 1)} - free
+    found, queue = {(-1, -1)}, [(-1, -1)]
+    while queue:
+        new = {place for place in touching(queue.pop()) if place in blocked} - found
+        found |= new
+        queue += new
+    return found == blocked
 
 
-def tours(planner: Planner, houses: list[np.ndarray], starts: list[tuple[int, int]]) -> np.ndarray:
-    """Steps of one robot with a touch sensor to clean each house, and to walk back to its start."""
-    rows, cols = (max(house.shape[axis] for house in houses) for axis in (0, 1))
-    stack = np.stack([np.pad(h, ((0, rows - h.shape[0]), (0, cols - h.shape[1]))) for h in houses])
-    env = CleaningEnv(
-        Houses(
-            free=stack,
-            furniture=np.zeros(stack.shape, dtype=np.int16),
-            rows=np.array([house.shape[0] for house in houses]),
-            cols=np.array([house.shape[1] for house in houses]),
-            starts=np.array(starts)[:, None],
-            sources=["drawn"] * len(houses),
-        ),
-        n_agents=1,
-        num_envs=len(houses),
-        sensor=Sensor.TOUCH4,
-        house_order=HouseOrder.FIXED,
-        stuck_after=None,
-        max_steps=4 * rows * cols,
-    )
-    policy, td = planner.bind(env), env.reset()
-    took = np.full(len(houses), -1)
-    back = walking_distance(stack, np.array(starts)[:, None])
-    while (took < 0).any():
-        td = env.step_mdp(env.step(policy(td)))
-        state = env.state
-        assert int(state.step.max()) < 4 * rows * cols, "a house is never finished"
-        now = (state.num_visited >= state.num_free).numpy() & (took < 0)
-        last = state.position[:, 0].numpy()
-        way = back[np.arange(len(houses)), last[:, 0], last[:, 1]]
-        took = np.where(now, state.step.numpy() + way, took)
-    return took
+@st.composite
+def polygons(draw: st.DrawFn, most: int = 9) -> Polygon:
+    """A simple grid polygon and a start beside its wall."""
+    rows, cols = draw(st.integers(1, most)), draw(st.integers(2, most))
+    free = {(row, col) for row in range(rows) for col in range(cols)}
+    place = st.tuples(st.integers(0, rows - 1), st.integers(0, cols - 1))
+    size = st.tuples(st.integers(1, 3), st.integers(1, 3))
+    for (top, left), (height, width) in draw(st.lists(st.tuples(place, size), max_size=20)):
+        cut = {(top + down, left + right) for down in range(height) for right in range(width)}
+        left_over = free - cut
+        if len(left_over) < 2 or not is_connected(left_over):
+            continue
+        if has_no_obstacle(left_over, rows, cols):
+            free = left_over
+    beside_wall = sorted(cell for cell in free if any(p not in free for p in neighbours(cell)))
+    return free, (rows, cols), draw(st.sampled_from(beside_wall))
 
 
-def longer_than_proven(planner: Planner, seed: int, count: int = 24) -> int:
-    """In how many drawn polygons the closed tour is longer than F + E/2 - 3."""
-    draw = random.Random(seed)
-    houses = [polygon(draw) for _ in range(count)]
-    edges, beside_walls = zip(*map(boundary, houses), strict=True)
-    starts = [draw.choice(cells) for cells in beside_walls]
-    bound = np.array([house.sum() for house in houses]) + np.array(edges) / 2 - 3
-    return int((tours(planner, houses, starts) > bound).sum())
+def case_of(free: set[Place], shape: tuple[int, int], starts: list[Place], **changes) -> Case:
+    defaults = {"sensor": Sensor.TOUCH4, "stuck_after": None, "max_steps": 500, "view_size": 1}
+    settings = reference.Settings(**{**defaults, **changes})
+    return Case(grid(free, *shape), [[0] * shape[1]] * shape[0], starts, settings, [], None, [])
 
 
-@given(st.integers(0, 2**32))
-@settings(max_examples=4, deadline=None)
-def test_a_closed_tour_is_no_longer_than_proven(seed):
-    assert longer_than_proven(SmartDFS(), seed) == 0
+def tours(polygons: list[Polygon]) -> list[list[Place]]:
+    """Where one robot in each house stands at each step until the house is clean."""
+    env = env_of([case_of(free, shape, [start]) for free, shape, start in polygons])
+    planner, td = SmartDFS().bind(env.base_env), env.reset()
+    places = [[start] for _, _, start in polygons]
+    playing = set(range(len(polygons)))
+    for _ in range(200):
+        td = step_mdp(env.step(planner(td)))
+        position, clean = td["agents", "position"][:, 0].tolist(), td["terminated"].flatten()
+        for index in list(playing):
+            places[index].append((position[index][0], position[index][1]))
+            if clean[index]:
+                playing.remove(index)
+        if not playing:
+            return places
+    raise AssertionError("never clean")
 
 
-def test_the_bound_is_one_that_other_planners_miss():
-    assert sum(longer_than_proven(Boustrophedon(), seed) for seed in range(3)) > 0
+several_polygons = st.lists(polygons(), min_size=12, max_size=12)
 
 
-@pytest.mark.parametrize("shape", [(1, 6), (6, 1), (2, 2), (5, 4)])
-def test_a_rectangle_takes_its_cells_and_no_step_more_than_proven(shape):
-    free = np.ones(shape, dtype=bool)
-    edges, _ = boundary(free)
-    (steps,) = tours(SmartDFS(), [free], [(0, 0)])
-    assert 2 * (free.sum() - 1) * (1 in shape) <= steps <= free.sum() + edges / 2 - 3
+@given(several_polygons)
+@hypothesis_settings(max_examples=10, deadline=None)
+def test_a_closed_tour_takes_at_most_cells_plus_half_the_edges_less_three(drawn) -> None:
+    for (free, _, start), places in zip(drawn, tours(drawn), strict=True):
+        edges = sum(place not in free for cell in free for place in neighbours(cell))
+        back = walking_distances(free, start)[places[-1]]
+        assert set(places) == free
+        assert len(places) - 1 + back <= len(free) + edges / 2 - 3
+
+
+class Explorer:
+    """The paper's ExploreCell and ExploreStep, as the recursion that they are."""
+
+    def __init__(self, free: set[Place], start: Place) -> None:
+        self.free, self.visited = free, {start}
+        self.places = [start]
+
+    def layer(self, cell: Place) -> int:
+        """Distance, diagonals as 1, to the nearest wall that a visited cell has touched."""
+        touched = {p for seen in self.visited for p in neighbours(seen) if p not in self.free}
+        return min(max(abs(cell[0] - r), abs(cell[1] - c)) for r, c in touched)
+
+    def is_known_wall(self, cell: Place) -> bool:
+        return cell not in self.free and any(p in self.visited for p in neighbours(cell))
+
+    def runs(self, cell: Place) -> list[tuple[set[Place], int]]:
+        """Components of open cells around `cell`, each with how many of its flanks surround it."""
+        circle = touching(cell)
+        closed = [k for k in range(8) if circle[k] in self.visited or self.is_known_wall(circle[k])]
+        found = []
+        for first, second in pairwise([*closed, closed[0] + 8]):
+            run = {circle[k % 8] for k in range(first + 1, second)}
+            flanks = [circle[first], circle[second % 8]]
+            inner = [self.layer(f) if f in self.visited else 0 for f in flanks]
+            if run & set(neighbours(cell)):
+                found.append((run, sum(layer >= self.layer(cell) for layer in inner)))
+        return found
+
+    def ways(self, cell: Place, direction: int) -> list[int]:
+        """The directions still open, in the order in which they are taken."""
+        order = [(direction + turn) % 4 for turn in (3, 0, 1, 2)]
+        ways = [way for way in order if neighbour(cell, way) in self.free - self.visited]
+        runs = self.runs(cell) if ways else []
+        if len(runs) < 2:
+            return ways
+        partial = [run for run, flanks in runs if flanks == 1]
+        late = partial or [run for run, _ in runs if neighbour(cell, ways[0]) in run]
+        is_late = {w: any(neighbour(cell, w) in run for run in late) for w in ways}
+        return sorted(ways, key=lambda way: is_late[way])
+
+    def explore(self, cell: Place, direction: int) -> None:
+        while ways := self.ways(cell, direction):
+            self.walk(cell)
+            target = neighbour(cell, ways[0])
+            self.visited.add(target)
+            self.places.append(target)
+            self.explore(target, ways[0])
+
+    def walk(self, cell: Place) -> None:
+        """A shortest way over visited cells, ties up, right, down, left."""
+        steps = walking_distances(self.visited, cell)
+        while (here := self.places[-1]) != cell:
+            closer = [p for p in neighbours(here) if steps.get(p, len(steps)) < steps[here]]
+            self.places.append(closer[0])
+
+
+@given(several_polygons)
+@hypothesis_settings(max_examples=8, deadline=None)
+def test_every_step_is_that_of_the_recursion(drawn) -> None:
+    for (free, _, start), places in zip(drawn, tours(drawn), strict=True):
+        explorer = Explorer(free, start)
+        behind = [neighbour(start, way + 2 & 3) in free for way in range(4)]
+        explorer.explore(start, behind.index(False))
+        assert places == explorer.places
+
+
+@pytest.mark.parametrize(
+    ("free", "shape"),
+    [({(0, col) for col in range(7)}, (1, 7)), ({(row, 0) for row in range(7)}, (7, 1))],
+)
+def test_from_the_middle_of_a_corridor_it_goes_to_one_end_and_back_to_the_other(
+    free, shape
+) -> None:
+    middle = sorted(free)[3]
+    assert len(tours([(free, shape, middle)])[0]) - 1 == 3 + 6
+
+
+def test_several_robots_share_what_is_done_and_begin_anew_in_each_episode() -> None:
+    free = {(row, col) for row in range(6) for col in range(7)}
+    env = env_of([case_of(free, (6, 7), [(0, 0), (5, 6)], sensor=Sensor.BUMP, max_steps=30)])
+    planner, episodes = SmartDFS().bind(env.base_env), []
+    for _ in range(2):
+        td, actions = env.reset(), []
+        for _ in range(30):
+            td = planner(td)
+            actions.append(td[ACTION][0].tolist())
+            td = step_mdp(env.step(td))
+        assert int(env.base_env.state.num_visited) > 36
+        episodes.append(actions)
+    assert episodes[0] == episodes[1]
