@@ -32,7 +32,8 @@ class SmartDFS(Sweep):
     and a house of F cells and E boundary edges without obstacles inside, the tour and the way
     back to the start take at most F + E/2 - 3 steps.
 
-    Several robots each do their own tour; what another has cleaned counts as visited. A robot
+    Several robots each do their own tour; what another has cleaned counts as visited. The bound
+    is one robot's: two that meet in a passage may go to and fro there until max_steps. A robot
     without a way to a cell of its own tour goes as all sweeps do: to the nearest open cell, the
     nearest dirty one, or anywhere.
 
