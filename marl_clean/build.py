@@ -9,6 +9,8 @@ from torchrl.envs import Compose, RewardSum, Transform, TransformedEnv
 
 from marl_clean import keys
 from marl_clean.agent.base import Agent
+from marl_clean.channel.base import Channel, Dims
+from marl_clean.channel_seed import ChannelSeed
 from marl_clean.checkpoint import fit_weights, load_weights
 from marl_clean.comm.base import Comm
 from marl_clean.compose import checked, plays_houses
@@ -71,7 +73,7 @@ def make_env(
         device=torch.device(cfg.device),
         **changes,
     )
-    return TransformedEnv(env, Compose(topology, observation, *payment(cfg)))
+    return TransformedEnv(env, Compose(topology, observation, *draws(cfg), *payment(cfg)))
 
 
 def make_task(cfg: DictConfig, num_envs: int | None = None, first_env: int = 0) -> TransformedEnv:
@@ -89,7 +91,13 @@ def make_task(cfg: DictConfig, num_envs: int | None = None, first_env: int = 0) 
         device=torch.device(cfg.device),
         **changes,
     )
-    return TransformedEnv(env, Compose(*payment(cfg)))
+    return TransformedEnv(env, Compose(*draws(cfg), *payment(cfg)))
+
+
+def draws(cfg: DictConfig) -> list[Transform]:
+    """Build what draws for the channel, where it draws at all."""
+    drawing = any(channel.draws for channel in make_channels(cfg, ()).values())
+    return [ChannelSeed()] if drawing else []
 
 
 def payment(cfg: DictConfig) -> list[Transform]:
@@ -114,6 +122,16 @@ def make_comm(section: DictConfig, in_features: int, seen: torch.Size) -> Comm:
     return instantiate(section, in_features=in_features, **asked)
 
 
+def make_channels(cfg: DictConfig, message_dims: Dims) -> dict[str, Channel]:
+    """Build the stack of channels for messages of so many numbers in each round."""
+    stack = {}
+    for name, section in cfg.channel.items():
+        asked = takes(section["_target_"], "message_dims")
+        parts = {"message_dims": message_dims} if asked else {}
+        stack[str(name)] = instantiate(section, **parts)
+    return stack
+
+
 def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     """Build encoder, communication and learner for what robots see in `env`.
 
@@ -130,6 +148,7 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
         cfg.agent,
         encoder=encoder,
         comm=comm,
+        channels=make_channels(cfg, tuple(comm.message_dims)),
         n_agents=env.base_env.n_agents,
         num_actions=env.full_action_spec[keys.ACTION].n,
         device=cfg.device,
@@ -150,14 +169,19 @@ def start_from(agent: Agent, cfg: DictConfig) -> None:
     agent.start_from(weights)
 
 
-def load_policy(folder: Path) -> TensorDictModuleBase:
+def load_policy(folder: Path, channel: DictConfig | None = None) -> TensorDictModuleBase:
     """Return the greedy policy of a run: the best weights on validation houses, else the last.
+
+    `channel`: the section of another channel than the one that it was trained with. What that one
+    learnt about its own ways is then of no use; what the other would learn, it does not know.
 
     Raises:
         BadInput: the run has no whole weights yet, or they do not fit its config.
     """
     cfg = checked(load_config(folder))
     houses = held_out_houses(cfg, "validation", 1) if plays_houses(cfg) else None
+    if channel is not None:
+        cfg.channel = channel
     agent = make_agent(cfg, make_env(cfg, houses, num_envs=1))
     fit_weights(agent.network, load_weights(folder).tree, folder)
     return agent.policy()

@@ -50,6 +50,7 @@ DTYPES = {
     torch.uint8: "U8",
     torch.bool: "BOOL",
 }
+CHANNEL = "channel."  # what the names of weights begin with that a channel has learnt
 log = logging.getLogger(__name__)
 
 
@@ -157,10 +158,17 @@ def load_weights(run: Path) -> Checkpoint:
 def fit_weights(network: nn.Module, weights: Any, source: Path) -> None:
     """Put saved weights into a network, all of them or none.
 
+    A channel's own may differ: what this network's channel lacks is left out, and what it would
+    have learnt stays as it is.
+
     Raises:
         BadInput: names, shapes or types differ from the network's, or a weight is not finite.
     """
     own = network.state_dict()
+    if isinstance(weights, dict):
+        of_channel = {name: w for name, w in own.items() if name.startswith(CHANNEL)}
+        of_others = {name: w for name, w in weights.items() if not name.startswith(CHANNEL)}
+        weights = of_others | {name: weights.get(name, w) for name, w in of_channel.items()}
     if not isinstance(weights, dict) or weights.keys() != own.keys():
         raise BadInput(f"{source}: holds the weights of another network; same config needed")
     for name, weight in own.items():

@@ -29,6 +29,8 @@ PACKAGE = Path(__file__).parent
 EXPERIMENT = "experiment"
 BUDGET = "budget"
 PRESETS = (EXPERIMENT, BUDGET)  # groups that set keys of several rooms, and are none themselves
+SEVERAL = ("logger", "channel")  # rooms of which several levels may be taken at once, by name
+PERFECT = {"perfect": {"_target_": "marl_clean.channel.perfect.Perfect"}}
 OUTSIDE_THE_HASH = ("hydra", "name", "device", "logger", "checkpoint", "out")
 WEIGHTS = "weights"  # of the root; not the user's to set
 
@@ -148,6 +150,7 @@ def resolved(config: DictConfig) -> dict[str, Any]:
 def checked(plain: dict[str, Any], parsed: Sequence[Override] = ()) -> DictConfig:
     """`plain` as a config with its `name` filled in. Raises BadInput when the schema says no."""
     plain = {**plain, "logger": plain.get("logger") or {}}  # none at all is a choice, too
+    plain["channel"] = plain.get("channel") or PERFECT
     problems = list(_problems(plain))
     if problems:
         asked = {override.key_or_group for override in parsed}
@@ -171,9 +174,9 @@ def _problems(plain: Mapping[str, Any]) -> Iterator[schema.Problem]:
     yield from _problems_of_evaluation(evaluation)
     for room in levels:
         section = plain.get(room)
-        if room == "logger" and isinstance(section, dict):  # several at once, by name
+        if room in SEVERAL and isinstance(section, dict):
             for name, level in section.items():
-                yield from _problems_of_section(level, f"logger.{name}", "logger")
+                yield from _problems_of_section(level, f"{room}.{name}", room)
         else:
             yield from _problems_of_section(section, room, room)
 
@@ -241,7 +244,7 @@ def _check_level(override: Override) -> None:
     if levels is None or override.is_sweep_override():
         return
     value = override.value()
-    wanted = value if isinstance(value, list) and override.key_or_group == "logger" else [value]
+    wanted = value if isinstance(value, list) and override.key_or_group in SEVERAL else [value]
     if override.key_or_group in PRESETS and value is None:
         return
     for level in wanted:

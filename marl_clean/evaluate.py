@@ -21,7 +21,7 @@ def main(cfg: DictConfig, out: Path, console: Console | None = None) -> list[Ent
     if cfg.checkpoint is None:
         entries = [measure_planner(cfg)]
     else:
-        policy = build.load_policy(find_run(cfg.checkpoint)).to(cfg.device)
+        policy = build.load_policy(find_run(cfg.checkpoint), cfg.channel).to(cfg.device)
         entries = measure_beside_planners(cfg, policy, cfg.name)
     write_entries(out, entries)
     console = console or output()

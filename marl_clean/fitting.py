@@ -4,7 +4,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from marl_clean.compose import conf_folder, rooms
+from marl_clean.compose import SEVERAL, conf_folder, rooms
 from marl_clean.errors import BadInput
 from marl_clean.safe_yaml import load_yaml
 from marl_clean.schema import constant
@@ -25,9 +25,11 @@ def check_fit(config: DictConfig) -> None:
     for room, target in targets.items():
         fits: dict[str, list[str]] = constant(target, "fits") or {}
         for other, valid in fits.items():
-            if (level := _level(targets[other])) not in valid:
-                fitting = f"{room}={_level(target)}; valid: {', '.join(valid)}"
-                raise BadInput(f"{other}={level}: does not fit {fitting}")
+            levels = list(config[other]) if other in SEVERAL else [_level(targets[other])]
+            for level in levels:
+                if level not in valid:
+                    fitting = f"{room}={_level(target)}; valid: {', '.join(valid)}"
+                    raise BadInput(f"{other}={level}: does not fit {fitting}")
     seer = "observation" if constant(targets["env"], "gives") is None else "env"
     gives, takes = constant(targets[seer], "gives"), constant(targets["encoder"], "takes")
     given = f"{seer}={_level(targets[seer])} gives {gives.value}"

@@ -18,7 +18,15 @@ JOINT_ACTION = "joint_action"  # *B int64, base 4, robot 0 the lowest digit
 JOINT_ACTION_VALUE = "joint_action_value"  # *B 4^n float32
 CHOSEN_JOINT_ACTION_VALUE = "chosen_joint_action_value"  # *B 1 float32
 MESSAGE = (AGENTS, "message")  # *B n M float32: what each robot sent
+MESSAGE_EDGES = (AGENTS, "message_edges")  # *B n 1 float32: over how many edges, all rounds
 MESSAGE_BITS = (AGENTS, "message_bits")  # *B n 1 float32: what sending it cost
+
+CHANNEL_SEED = (AGENTS, "channel_seed")  # *B n int64 in [0, 2^32): for what a channel draws
+INBOX = (AGENTS, "inbox")  # *B n age number float32: messages under way, and whom they reach
+OUTBOX = (AGENTS, "outbox")  # the same, of a scheme whose messages are heard later by definition
+BURST = (AGENTS, "burst")  # *B n n bool, [i, j]: the way from j to i is in a burst of losses
+HIDDEN = (AGENTS, "hidden")  # *B n d float32: a recurrent encoder's memory
+IS_INIT = "is_init"  # *B 1 bool: the first frame of an episode
 
 REWARD = (AGENTS, "reward")  # *B n 1 float32: what the robot is paid
 OWN_REWARD = (AGENTS, "own_reward")  # *B n 1 float32: what it earned itself

@@ -13,6 +13,7 @@ from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig
 
 from marl_clean.compose import (
+    PERFECT,
     PRESETS,
     apply,
     checked,
@@ -148,6 +149,7 @@ def _completed(plain: dict[str, Any]) -> dict[str, Any]:
     """The config with the keys that it may leave out: those with a default, or null at the root."""
     types = get_type_hints(Root, include_extras=True)
     whole = {**{key: None for key in types if mismatch(None, types[key]) is None}, **plain}
+    whole = {"channel": PERFECT, **whole}
     for room, levels in rooms().items():
         section = plain.get(room)
         if not isinstance(section, dict):

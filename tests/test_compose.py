@@ -20,8 +20,9 @@ def keys_and_types(config: DictConfig) -> dict[str, typing.Any]:
     found = dict(typing.get_type_hints(settings.Root, include_extras=True))
     evaluation = typing.get_type_hints(settings.Evaluation, include_extras=True)
     found |= {f"evaluation.{name}": annotation for name, annotation in evaluation.items()}
-    sections = {room: config[room] for room in compose.rooms() if room != "logger"}
-    sections |= {f"logger.{name}": section for name, section in config.logger.items()}
+    sections = {room: config[room] for room in compose.rooms() if room not in compose.SEVERAL}
+    for room in compose.SEVERAL:
+        sections |= {f"{room}.{name}": section for name, section in config[room].items()}
     for name, section in sections.items():
         accepted = schema.parameters(section["_target_"])
         found |= {f"{name}.{key}": accepted[key].annotation for key in section if key in accepted}

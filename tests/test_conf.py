@@ -24,11 +24,12 @@ HANDED_OVER = {"margin", "house_order", "first_env", "seed", "device"}
 
 FLOORS = [
     {"errors", "keys", "settings", "schema", "safe_yaml", "plan_files", "files", "viewer"}
-    | {"symmetry", "world", "manifest", "presets"},
+    | {"symmetry", "world", "manifest", "presets", "delivery"},
     {"house", "floorplan_readers"},
     {"env"},
-    {"transform", "observation", "topology", "reward", "encoder", "comm", "channel"},
-    {"networks", "agent", "planner"},
+    {"transform", "channel_seed", "observation", "topology", "reward"}
+    | {"encoder", "comm", "channel"},
+    {"networks", "acting", "agent", "planner"},
     {
         "trainer",
         "evaluation",

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, ClassVar, Literal
 
 import torch
@@ -9,17 +10,23 @@ from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.data import Composite
+from torchrl.envs import Transform
 from torchrl.modules import EGreedyModule
 from torchrl.objectives import DQNLoss, HardUpdate, SoftUpdate
 from torchrl.objectives.utils import TargetNetUpdater
 
 from marl_clean import keys, symmetry
-from marl_clean.comm.base import Comm
+from marl_clean.channel.base import Channel
+from marl_clean.comm.base import Comm, NoisyWhileLearning
+from marl_clean.encoder.base import Encoder
+from marl_clean.errors import BadInput
 from marl_clean.networks import NUM_ACTIONS
 from marl_clean.settings import PositiveFloat, PositiveInt, PositiveShare, Precision, Probability
 
 Count = int
 """Of robots or actions; handed over by whoever builds the learner, so never a config key."""
+Channels = Mapping[str, Channel]
+"""What messages cross, the first nearest to the sender; handed over in the same way."""
 
 
 class Agent(ABC):
@@ -41,6 +48,18 @@ class Agent(ABC):
     @abstractmethod
     def learns_from(self) -> Sequence[NestedKey]:
         """Keys of a frame that learning needs; under "next", of the frame after."""
+
+    @property
+    def unrolls(self) -> bool:
+        """Whether it learns from frames in a row, since something is carried from one to the next.
+
+        Then `update` takes `[window, time]` frames, with the first frames of episodes marked.
+        """
+        return False
+
+    def primer(self) -> Transform | None:
+        """Return the transform by which episodes begin with nothing carried; None: none needed."""
+        return None
 
     @abstractmethod
     def policy(self) -> TensorDictModuleBase:
@@ -99,7 +118,7 @@ class DeepQ(Agent):
     episodes are bootstrapped.
 
     Args:
-        encoder, comm: the network's parts; their weights are learnt in place.
+        encoder, comm, channels: the network's parts; their weights are learnt in place.
         double, dueling: see above and `marl_clean.networks`.
         n_steps: rewards summed before bootstrapping.
         gamma: discount of a step.
@@ -118,12 +137,11 @@ class DeepQ(Agent):
         device: where the network lives.
     """
 
-    sees: ClassVar[tuple[NestedKey, ...]]  # what the network takes
     loss_keys: ClassVar[Mapping[str, NestedKey]]  # where DQNLoss finds its entries
 
     def __init__(
         self,
-        encoder: nn.Module,
+        encoder: Encoder,
         comm: Comm,
         double: bool,
         dueling: bool,
@@ -141,6 +159,7 @@ class DeepQ(Agent):
         annealing_fraction: Probability,
         precision: Precision,
         augment: bool,
+        channels: Channels = MappingProxyType({}),
         n_agents: Count = 2,
         num_actions: Count = NUM_ACTIONS,
         device: torch.device | str = "cpu",
@@ -151,8 +170,14 @@ class DeepQ(Agent):
         self.max_grad_norm = max_grad_norm
         self.augment = augment
         self.n_agents, self.num_actions = n_agents, num_actions
-        self.network = self.make_network(encoder, comm, dueling, precision).to(device).eval()
-        self._greedy = self.make_greedy(tells=False).eval()
+        network = self.make_network(encoder, comm, dueling, precision, channels)
+        self.network = network.to(device).eval()
+        self._greedy = self.make_greedy(plays=False, tells=False).eval()
+        if augment and self.unrolls:
+            raise BadInput(
+                "agent.augment=true: turns single frames, and this network learns from frames in a"
+                " row; valid: false"
+            )
         self._loss = DQNLoss(
             self._greedy, loss_function=loss, double_dqn=double, action_space="categorical"
         )
@@ -163,7 +188,8 @@ class DeepQ(Agent):
             self._target = SoftUpdateAtOnce(self._loss, tau=tau)
         else:  # HardUpdate copies in the update after its interval is full
             self._target = HardUpdate(self._loss, value_network_update_interval=target_period - 1)
-        self._dropouts = [m for m in self.network.modules() if isinstance(m, nn.Dropout)]
+        noisy = (nn.Dropout, NoisyWhileLearning)
+        self._noisy = [m for m in self.network.modules() if isinstance(m, noisy)]
         self._parameters = list(self.network.parameters())
         self._optimiser = torch.optim.Adam(self._parameters, lr=lr, fused=True)
         self._coin: EGreedyModule | None = None
@@ -172,24 +198,38 @@ class DeepQ(Agent):
     @property
     def learns_from(self) -> Sequence[NestedKey]:
         later = (*self.sees, keys.REWARD, keys.DONE, keys.TERMINATED)
-        return (*self.sees, keys.ACTION, *(("next", key) for key in later))
+        begins = (keys.IS_INIT,) if self.unrolls else ()
+        return (*self.sees, keys.ACTION, *begins, *(("next", key) for key in later))
+
+    @property
+    @abstractmethod
+    def sees(self) -> Sequence[NestedKey]:
+        """Where a frame holds what the network takes."""
 
     @abstractmethod
     def make_network(
-        self, encoder: nn.Module, comm: Comm, dueling: bool, precision: Precision
+        self,
+        encoder: Encoder,
+        comm: Comm,
+        dueling: bool,
+        precision: Precision,
+        channels: Channels,
     ) -> nn.Module:
         """Return the network from `sees` to the values of `num_actions` or their combinations."""
 
     @abstractmethod
-    def make_greedy(self, tells: bool) -> TensorDictModuleBase:
-        """Return the policy of the best actions; `tells`: of messages too, where there are any."""
+    def make_greedy(self, plays: bool, tells: bool) -> TensorDictModuleBase:
+        """Return the policy of the best actions.
+
+        `plays`: in an env, rather than in the loss; `tells`: of messages too, where there are any.
+        """
 
     @abstractmethod
     def for_loss(self, frames: TensorDictBase) -> None:
         """Add what the loss wants in its own shape: endings, steps, and what the learner needs."""
 
     def policy(self) -> TensorDictModuleBase:
-        return self.make_greedy(tells=True).eval()
+        return self.make_greedy(plays=True, tells=True).eval()
 
     def coin(self, action_spec: Composite, action_key: NestedKey) -> EGreedyModule:
         """Return TorchRL's epsilon-greedy module, whose epsilon `anneal` sets.
@@ -212,18 +252,18 @@ class DeepQ(Agent):
 
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Take one step of Adam on a batch of frames, then let the target network follow."""
-        self._set_dropout(True)
+        self._set_noise(True)
         loss = self._loss(self._frames_to_learn(batch))["loss"]
         self._optimiser.zero_grad()
         loss.backward()
         grad_norm = nn.utils.clip_grad_norm_(self._parameters, self.max_grad_norm)
         self._optimiser.step()
         self._target.step()
-        self._set_dropout(False)
+        self._set_noise(False)
         return {"loss": loss.detach(), "grad_norm": grad_norm}
 
-    def _set_dropout(self, active: bool) -> None:
-        for module in self._dropouts:
+    def _set_noise(self, active: bool) -> None:
+        for module in self._noisy:
             module.train(active)
 
     def _frames_to_learn(self, batch: TensorDictBase) -> TensorDictBase:

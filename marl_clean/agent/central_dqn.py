@@ -2,14 +2,14 @@
 
 from typing import ClassVar
 
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
-from torch import nn
 from torchrl.data import Categorical, Composite
 
 from marl_clean import keys
-from marl_clean.agent.base import DeepQ
+from marl_clean.agent.base import Channels, DeepQ
 from marl_clean.comm.base import Comm
+from marl_clean.encoder.base import Encoder
 from marl_clean.errors import BadInput
 from marl_clean.networks import JointQNetwork, decode_joint, encode_joint
 from marl_clean.settings import Precision
@@ -56,11 +56,10 @@ class CentralDqn(DeepQ):
             sensible time.
     """
 
-    fits = {"comm": ["none"], "reward": ["team"]}
+    fits = {"comm": ["none"], "reward": ["team"], "channel": ["perfect"]}
     sized_by = ["env.n_agents"]
 
     network: JointQNetwork
-    sees = (keys.OBSERVATION,)
     loss_keys: ClassVar = {
         "action": keys.JOINT_ACTION,
         "action_value": keys.JOINT_ACTION_VALUE,
@@ -71,7 +70,12 @@ class CentralDqn(DeepQ):
     }
 
     def make_network(
-        self, encoder: nn.Module, comm: Comm, dueling: bool, precision: Precision
+        self,
+        encoder: Encoder,
+        comm: Comm,
+        dueling: bool,
+        precision: Precision,
+        channels: Channels,
     ) -> JointQNetwork:
         outputs = self.num_actions**self.n_agents
         if outputs > MOST_OUTPUTS:
@@ -79,10 +83,16 @@ class CentralDqn(DeepQ):
                 f"env.n_agents={self.n_agents}: agent=central_dqn has {self.num_actions}^n outputs"
                 f" and takes at most {MOST_OUTPUTS:,} (5 robots of 4 actions); use agent=iql"
             )
+        if encoder.memory is not None:
+            raise BadInput("encoder.memory=gru: agent=central_dqn has no memory; valid: none")
         width = comm.out_features
         return JointQNetwork(encoder, width, self.n_agents, outputs, dueling, precision)
 
-    def make_greedy(self, tells: bool) -> GreedyJoint:
+    @property
+    def sees(self) -> tuple[NestedKey, ...]:
+        return (keys.OBSERVATION,)
+
+    def make_greedy(self, plays: bool, tells: bool) -> GreedyJoint:
         return GreedyJoint(self.network, self.n_agents, self.num_actions)
 
     def exploration(self, action_spec: Composite) -> TensorDictSequential:

@@ -1,19 +1,20 @@
 """Independent deep Q-learning with shared weights: the paper's approach 2 (§3.4)."""
 
+from collections.abc import Sequence
 from typing import ClassVar
 
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torch import nn
 from torchrl.data import Composite
+from torchrl.envs import TensorDictPrimer
 
-from marl_clean import keys
-from marl_clean.agent.base import DeepQ
+from marl_clean import acting, keys
+from marl_clean.agent.base import Channels, DeepQ
 from marl_clean.comm.base import Comm
-from marl_clean.networks import QNetwork
+from marl_clean.encoder.base import Encoder
+from marl_clean.networks import QNetwork, RobotsNetwork
 from marl_clean.settings import Precision
 
-SEEN = (keys.OBSERVATION, keys.ADJACENCY, keys.DISTANCE_RANK)
 DONE, TERMINATED = (keys.AGENTS, keys.DONE), (keys.AGENTS, keys.TERMINATED)
 
 
@@ -22,26 +23,45 @@ class Greedy(TensorDictModuleBase):
 
     One module in the place of three (network, choice, their sequence): a third of their time
     outside of the network, which counts where the network is small.
+
+    Args:
+        network: values of the robots' actions.
+        n_agents: robots in a world.
+        plays: it acts in an env, so what the network carries is written into the next frame;
+            otherwise it learns, from frames that hold what was carried.
+        tells: it writes down what was said, too.
     """
 
-    def __init__(self, network: QNetwork, tells: bool) -> None:
+    def __init__(self, network: RobotsNetwork, n_agents: int, plays: bool, tells: bool) -> None:
         super().__init__()
-        self.network, self.tells = network, tells
-        self.in_keys = list(SEEN)
+        self.network, self.tells, self.plays = network, tells, plays
+        self.n_agents = n_agents
+        self.in_keys = list(network.sees)
         self.out_keys = [keys.ACTION, keys.ACTION_VALUE, keys.CHOSEN_ACTION_VALUE]
         if tells:
-            self.out_keys += [keys.MESSAGE, keys.MESSAGE_BITS]
+            self.out_keys += acting.TOLD
+        if plays:
+            self.out_keys += [("next", key) for key in network.carries]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        value, message, bits = self.network(*(tensordict.get(key) for key in SEEN))
+        entries = acting.entries(self.network, tensordict)
+        if not self.plays and keys.IS_INIT in tensordict.keys():
+            value = self.network.unroll(tensordict.get(keys.IS_INIT), *entries)
+        else:
+            value, talk, carried = self.network(*entries)
+            if self.plays:
+                acting.note_carried(tensordict, self.network.carries, carried)
+            if self.tells:
+                acting.note_talk(tensordict, talk)
         chosen, action = value.max(-1, keepdim=True)
         tensordict.set(keys.ACTION_VALUE, value)
         tensordict.set(keys.CHOSEN_ACTION_VALUE, chosen)
         tensordict.set(keys.ACTION, action.squeeze(-1))
-        if self.tells:
-            tensordict.set(keys.MESSAGE, message)
-            tensordict.set(keys.MESSAGE_BITS, bits)
         return tensordict
+
+    def make_tensordict_primer(self) -> TensorDictPrimer:
+        """Return the transform by which an env begins episodes with what the network carries."""
+        return acting.primer(self.network, self.n_agents)
 
 
 class Iql(DeepQ):
@@ -55,7 +75,6 @@ class Iql(DeepQ):
     """
 
     network: QNetwork
-    sees = SEEN
     loss_keys: ClassVar = {
         "action": keys.ACTION,
         "action_value": keys.ACTION_VALUE,
@@ -66,16 +85,34 @@ class Iql(DeepQ):
     }
 
     def make_network(
-        self, encoder: nn.Module, comm: Comm, dueling: bool, precision: Precision
+        self,
+        encoder: Encoder,
+        comm: Comm,
+        dueling: bool,
+        precision: Precision,
+        channels: Channels,
     ) -> QNetwork:
-        return QNetwork(encoder, comm, dueling, precision, self.num_actions)
+        return QNetwork(encoder, comm, dueling, precision, self.num_actions, channels)
 
-    def make_greedy(self, tells: bool) -> Greedy:
-        return Greedy(self.network, tells)
+    @property
+    def sees(self) -> Sequence[NestedKey]:
+        return self.network.sees
+
+    @property
+    def unrolls(self) -> bool:
+        return self.network.unrolls
+
+    def primer(self) -> TensorDictPrimer | None:
+        network = self.network
+        return acting.primer(network, self.n_agents) if network.carries else None
+
+    def make_greedy(self, plays: bool, tells: bool) -> Greedy:
+        return Greedy(self.network, self.n_agents, plays, tells)
 
     def exploration(self, action_spec: Composite) -> TensorDictSequential:
         """Return the epsilon-greedy policy; each robot draws for itself."""
-        return TensorDictSequential(self._greedy, self.coin(action_spec, keys.ACTION))
+        greedy = self.make_greedy(plays=True, tells=False).eval()
+        return TensorDictSequential(greedy, self.coin(action_spec, keys.ACTION))
 
     def for_loss(self, frames: TensorDictBase) -> None:
         """Give every robot its endings and its steps."""
@@ -84,4 +121,4 @@ class Iql(DeepQ):
             ending = frames["next", key].unsqueeze(-1).expand(reward.shape)
             frames["next", keys.AGENTS, key] = ending
         steps = frames[keys.STEPS_TO_NEXT_OBS]
-        frames[keys.STEPS_TO_NEXT_OBS] = steps[:, None, None].expand(reward.shape)
+        frames[keys.STEPS_TO_NEXT_OBS] = steps[..., None, None].expand(reward.shape)

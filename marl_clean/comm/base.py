@@ -1,11 +1,15 @@
 """What every communication scheme takes and gives."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
+
+from marl_clean.delivery import Delivery, Direct
 
 Width = int
 """Length of a feature vector; handed over by the network's builder, so never a config key."""
@@ -13,43 +17,116 @@ Width = int
 BITS_PER_FLOAT = 32
 
 
+class NoisyWhileLearning(nn.Module):
+    """A part that draws while it learns (`training`), and is a function of its input when used."""
+
+
+class Talk(NamedTuple):
+    """What came of one step's talk.
+
+    Attributes:
+        feature: `[*B, n, out_features]`, what the robots know now.
+        message: `[*B, n, sum of message_dims]`, what each sent, its rounds side by side.
+        edges: `[*B, n, 1]`, over how many edges each sent, all rounds together.
+        bits: `[*B, n, 1]`, what that cost.
+    """
+
+    feature: Tensor
+    message: Tensor
+    edges: Tensor
+    bits: Tensor
+
+
 class Comm(nn.Module, ABC):
     """Turn features of robots and who may talk to whom into features that know of each other.
 
-    A robot sends its message to each of its live edges, so its bits in a step are
-    32 x length of the message x its live edges, whether or not the receiver makes use of it.
-    The messages of several rounds stand side by side: every round costs.
+        state = begin(h)
+        each round: m_j = speak(state)_j,    state_i = listen(state, the m_j that reached i)_i
+        h' = end(state)
+
+    A scheme is what is said and what is made of it; how messages fare on the way is a matter of
+    the channel. A robot sends its message to each robot it may talk to, whether or not that one
+    makes use of it, and every round costs: edges x numbers in a message x bits of a number.
     Results depend on live edges only, and not on how the robots are numbered. A dead edge is
     masked by `torch.where` and never multiplied by 0, so not even NaN crosses it, in either
     direction of the arithmetic.
+
+    Attributes:
+        message_dims: numbers in the message of each round; there are as many rounds as entries,
+            and what a robot knows crosses as many edges within one step.
+        bits_per_number: what one costs.
+        delay_steps: steps after which a message is heard, as part of the scheme.
+        out_features: length of the features it gives.
     """
 
+    message_dims: Sequence[int]
     out_features: int
-    rounds: int  # edges that what a robot knows crosses within one step
+    bits_per_number: int = BITS_PER_FLOAT
+    delay_steps: int = 0
+
+    @property
+    def rounds(self) -> int:
+        """How often the robots speak within one step."""
+        return len(self.message_dims)
+
+    def numbers(self, turn: int) -> int:
+        """Return how many numbers a message of round `turn` is paid for."""
+        return self.message_dims[turn]
+
+    def begin(self, feature: Float[Tensor, "*batch agent feature"]) -> Any:
+        """Return what the first round starts from: tensors `[*B, n, ...]`, one or several."""
+        return feature
 
     @abstractmethod
-    def forward(
+    def speak(self, state: Any, turn: int) -> Float[Tensor, "*batch agent message"]:
+        """Return what each robot sends in round `turn`, the same to all that it talks to."""
+
+    def gate(self, state: Any, turn: int) -> Float[Tensor, "*batch agent 1"] | None:
+        """Return 1 for each robot that speaks and 0 for the others; None: all do."""
+        return None
+
+    @abstractmethod
+    def listen(
         self,
-        feature: Float[Tensor, "*batch agent feature"],
-        adjacency: Bool[Tensor, "*batch agent other"],
+        state: Any,
+        heard: Float[Tensor, "*batch agent message"],
+        live: Bool[Tensor, "*batch agent other"],
         distance_rank: Int[Tensor, "*batch agent other"],
-    ) -> tuple[
-        Float[Tensor, "*batch agent joined"],
-        Float[Tensor, "*batch agent message"],
-        Float[Tensor, "*batch agent 1"],
-    ]:
-        """Return the new features, the messages sent, and what sending them cost in bits.
+        turn: int,
+    ) -> Any:
+        """Return the state after round `turn`: robot i heard the message of each live [i, j].
 
         `distance_rank` [i, j] is the rank of j among the others seen from i: 0 is i itself, 1
         its nearest.
         """
 
+    def end(self, state: Any) -> Float[Tensor, "*batch agent joined"]:
+        """Return the features that the last state comes to."""
+        return state
 
-def bits_sent(
-    numbers: int, adjacency: Bool[Tensor, "*batch agent agent"], dtype: torch.dtype
-) -> Float[Tensor, "*batch agent 1"]:
-    """Return what each robot's message of this many floats costs: 32 bits each, to every edge."""
-    return BITS_PER_FLOAT * numbers * adjacency.sum(-1, keepdim=True).to(dtype)
+    def forward(
+        self,
+        feature: Float[Tensor, "*batch agent feature"],
+        adjacency: Bool[Tensor, "*batch agent other"],
+        distance_rank: Int[Tensor, "*batch agent other"],
+        delivery: Delivery | None = None,
+    ) -> Talk:
+        """Let the robots talk: round by round, over `delivery`, without one as if at no loss."""
+        way: Delivery = delivery or Direct(adjacency)
+        price = way.bits_per_number or self.bits_per_number
+        state, sent = self.begin(feature), [feature[..., :0]]
+        receivers = way.sent.sum(-2).unsqueeze(-1).to(feature.dtype)
+        edges = bits = torch.zeros_like(receivers)
+        for turn in range(self.rounds):
+            message, gate = self.speak(state, turn), self.gate(state, turn)
+            reached = receivers
+            if gate is not None:
+                message, reached = gate * message, gate.detach() * receivers
+            sent.append(message)
+            edges, bits = edges + reached, bits + price * self.numbers(turn) * reached
+            heard, live = way(message, turn)
+            state = self.listen(state, heard, live, distance_rank, turn)
+        return Talk(self.end(state), torch.cat(sent, dim=-1), edges, bits)
 
 
 def outgoing(feature: Tensor, detach: bool) -> Tensor:

@@ -6,8 +6,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from marl_clean.comm.base import Comm, Width, bits_sent, outgoing, sum_live
+from marl_clean.comm.base import Comm, Width, outgoing, sum_live
 from marl_clean.settings import PositiveInt
+
+State = tuple[Tensor, Tensor]  # W_x feature, and the hidden state
 
 
 class CommNet(Comm):
@@ -40,30 +42,33 @@ class CommNet(Comm):
         detach: bool,
     ) -> None:
         super().__init__()
-        self.rounds, self.divisor, self.detach = rounds, divisor, detach
+        self.divisor, self.detach = divisor, detach
         self.skip = nn.Linear(in_features, hidden)
         self.own = nn.ModuleList(nn.Linear(hidden, hidden, bias=False) for _ in range(rounds))
         self.heard = nn.ModuleList(nn.Linear(hidden, hidden, bias=False) for _ in range(rounds))
-        self.out_features = hidden
+        self.message_dims, self.out_features = (hidden,) * rounds, hidden
 
-    def forward(
-        self,
-        feature: Float[Tensor, "*batch agent feature"],
-        adjacency: Bool[Tensor, "*batch agent other"],
-        distance_rank: Int[Tensor, "*batch agent other"],
-    ) -> tuple[
-        Float[Tensor, "*batch agent joined"],
-        Float[Tensor, "*batch agent message"],
-        Float[Tensor, "*batch agent 1"],
-    ]:
-        """Return the last hidden states, those sent, and 32 bits a float, round and live edge."""
+    def begin(self, feature: Float[Tensor, "*batch agent feature"]) -> State:
         skip = self.skip(feature)
-        hidden, sent = skip.tanh(), []
-        for own, heard in zip(self.own, self.heard, strict=True):
-            sent.append(outgoing(hidden, self.detach))
-            hidden = torch.tanh(skip + own(hidden) + heard(self.mean(sent[-1], adjacency)))
-        message = torch.cat(sent, dim=-1)
-        return hidden, message, bits_sent(message.shape[-1], adjacency, feature.dtype)
+        return skip, skip.tanh()
+
+    def speak(self, state: State, turn: int) -> Float[Tensor, "*batch agent hidden"]:
+        return outgoing(state[1], self.detach)
+
+    def listen(
+        self,
+        state: State,
+        heard: Float[Tensor, "*batch agent message"],
+        live: Bool[Tensor, "*batch agent other"],
+        distance_rank: Int[Tensor, "*batch agent other"],
+        turn: int,
+    ) -> State:
+        skip, hidden = state
+        own, others = self.own[turn], self.heard[turn]
+        return skip, torch.tanh(skip + own(hidden) + others(self.mean(heard, live)))
+
+    def end(self, state: State) -> Float[Tensor, "*batch agent hidden"]:
+        return state[1]
 
     def mean(
         self,

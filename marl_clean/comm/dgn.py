@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from marl_clean.comm.base import Comm, Width, attend, bits_sent, dense, outgoing
+from marl_clean.comm.base import Comm, Width, attend, dense, outgoing
 from marl_clean.settings import PositiveInt
 
 
@@ -40,44 +40,41 @@ class Dgn(Comm):
         detach: bool,
     ) -> None:
         super().__init__()
-        self.heads, self.rounds, self.detach = heads, rounds, detach
+        self.heads, self.detach = heads, detach
         self.scale = head_dim**-0.5
         widths, joined = [in_features] + [hidden] * (rounds - 1), heads * head_dim
         self.query = nn.ModuleList(nn.Linear(width, joined) for width in widths)
         self.key_and_value = nn.ModuleList(nn.Linear(width, 2 * joined) for width in widths)
         self.join = nn.ModuleList(dense(joined, hidden) for _ in widths)
-        self.out_features = in_features + rounds * hidden
+        self.message_dims, self.out_features = widths, in_features + rounds * hidden
 
-    def forward(
+    def begin(self, feature: Float[Tensor, "*batch agent feature"]) -> list[Tensor]:
+        return [feature]
+
+    def speak(self, state: list[Tensor], turn: int) -> Float[Tensor, "*batch agent message"]:
+        return outgoing(state[-1], self.detach)
+
+    def listen(
         self,
-        feature: Float[Tensor, "*batch agent feature"],
-        adjacency: Bool[Tensor, "*batch agent other"],
+        state: list[Tensor],
+        heard: Float[Tensor, "*batch agent message"],
+        live: Bool[Tensor, "*batch agent other"],
         distance_rank: Int[Tensor, "*batch agent other"],
-    ) -> tuple[
-        Float[Tensor, "*batch agent joined"],
-        Float[Tensor, "*batch agent message"],
-        Float[Tensor, "*batch agent 1"],
-    ]:
-        """Return all rounds' features, those sent, and 32 bits a float, round and live edge."""
-        features, sent = [feature], []
-        every_head = adjacency.unsqueeze(-3).expand(
-            *adjacency.shape[:-2], self.heads, *adjacency.shape[-2:]
+        turn: int,
+    ) -> list[Tensor]:
+        query, key_and_value = self.query[turn], self.key_and_value[turn]
+        every_head = live.unsqueeze(-3).expand(*live.shape[:-2], self.heads, *live.shape[-2:])
+        summed = attend(
+            self.by_head(query(state[-1])),
+            self.by_head(key_and_value(heard)),
+            every_head,
+            self.scale,
+            own=self.by_head(key_and_value(state[-1])),
         )
-        for query, key_and_value, join in zip(
-            self.query, self.key_and_value, self.join, strict=True
-        ):
-            sent.append(outgoing(features[-1], self.detach))
-            heard = attend(
-                self.by_head(query(features[-1])),
-                self.by_head(key_and_value(sent[-1])),
-                every_head,
-                self.scale,
-                own=self.by_head(key_and_value(features[-1])),
-            )
-            features.append(join(heard.transpose(-2, -3).flatten(-2)))
-        message = torch.cat(sent, dim=-1)
-        bits = bits_sent(message.shape[-1], adjacency, feature.dtype)
-        return torch.cat(features, dim=-1), message, bits
+        return [*state, self.join[turn](summed.transpose(-2, -3).flatten(-2))]
+
+    def end(self, state: list[Tensor]) -> Float[Tensor, "*batch agent joined"]:
+        return torch.cat(state, dim=-1)
 
     def by_head(
         self, value: Float[Tensor, "*batch agent joined"]

@@ -9,7 +9,6 @@ from torch import Tensor
 from marl_clean.comm.base import (
     Comm,
     Width,
-    bits_sent,
     dense,
     nearest_live,
     outgoing,
@@ -41,8 +40,6 @@ class FullState(Comm):
         detach: a receiver's loss does not reach what the encoder makes of the sender's.
     """
 
-    rounds = 1
-
     def __init__(
         self,
         in_features: Width,
@@ -60,24 +57,27 @@ class FullState(Comm):
         self.received = dense(in_features, received)
         self.own = dense(in_features, hidden)
         self.join = dense(hidden + received * (self.places or 1), hidden)
-        self.out_features = hidden
+        self.message_dims, self.out_features = (in_features,), hidden
 
-    def forward(
+    def numbers(self, turn: int) -> int:
+        return self.observed
+
+    def speak(
+        self, state: Float[Tensor, "*batch agent feature"], turn: int
+    ) -> Float[Tensor, "*batch agent feature"]:
+        return outgoing(state, self.detach)
+
+    def listen(
         self,
-        feature: Float[Tensor, "*batch agent feature"],
-        adjacency: Bool[Tensor, "*batch agent other"],
+        state: Float[Tensor, "*batch agent feature"],
+        heard: Float[Tensor, "*batch agent message"],
+        live: Bool[Tensor, "*batch agent other"],
         distance_rank: Int[Tensor, "*batch agent other"],
-    ) -> tuple[
-        Float[Tensor, "*batch agent joined"],
-        Float[Tensor, "*batch agent message"],
-        Float[Tensor, "*batch agent 1"],
-    ]:
-        """Return the joined features, those sent, and 32 bits a number observed and live edge."""
-        message = outgoing(feature, self.detach)
-        received = self.received(message)
+        turn: int,
+    ) -> Float[Tensor, "*batch agent joined"]:
+        received = self.received(heard)
         if self.places is None:
-            heard = sum_live(received, adjacency)
+            neighbours = sum_live(received, live)
         else:
-            heard = nearest_live(received, adjacency, distance_rank, self.places)
-        joined = self.join(torch.cat([self.own(feature), heard], dim=-1))
-        return joined, message, bits_sent(self.observed, adjacency, feature.dtype)
+            neighbours = nearest_live(received, live, distance_rank, self.places)
+        return self.join(torch.cat([self.own(state), neighbours], dim=-1))

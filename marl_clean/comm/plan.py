@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from marl_clean.comm.base import Comm, Width, bits_sent, dense, nearest_live, sum_live
+from marl_clean.comm.base import Comm, Width, dense, nearest_live, sum_live
 from marl_clean.settings import PositiveInt
 
 
@@ -31,8 +31,6 @@ class Plan(Comm):
         max_neighbours: places of `ordered`; further neighbours are not heard.
     """
 
-    rounds = 1
-
     def __init__(
         self,
         in_features: Width,
@@ -50,24 +48,24 @@ class Plan(Comm):
         self.received = dense(message_dim, received)
         self.own = dense(in_features, hidden)
         self.join = dense(hidden + received * (self.places or 1), hidden)
-        self.out_features = hidden
+        self.message_dims, self.out_features = (message_dim,), hidden
 
-    def forward(
+    def speak(
+        self, state: Float[Tensor, "*batch agent feature"], turn: int
+    ) -> Float[Tensor, "*batch agent message"]:
+        return self.message(state)
+
+    def listen(
         self,
-        feature: Float[Tensor, "*batch agent feature"],
-        adjacency: Bool[Tensor, "*batch agent other"],
+        state: Float[Tensor, "*batch agent feature"],
+        heard: Float[Tensor, "*batch agent message"],
+        live: Bool[Tensor, "*batch agent other"],
         distance_rank: Int[Tensor, "*batch agent other"],
-    ) -> tuple[
-        Float[Tensor, "*batch agent joined"],
-        Float[Tensor, "*batch agent message"],
-        Float[Tensor, "*batch agent 1"],
-    ]:
-        """Return the joined features, the plans sent, and 32 bits a float and live edge."""
-        message = self.message(feature)
-        received = self.received(message)
+        turn: int,
+    ) -> Float[Tensor, "*batch agent joined"]:
+        received = self.received(heard)
         if self.places is None:
-            heard = sum_live(received, adjacency)
+            neighbours = sum_live(received, live)
         else:
-            heard = nearest_live(received, adjacency, distance_rank, self.places)
-        joined = self.join(torch.cat([self.own(feature), heard], dim=-1))
-        return joined, message, bits_sent(message.shape[-1], adjacency, feature.dtype)
+            neighbours = nearest_live(received, live, distance_rank, self.places)
+        return self.join(torch.cat([self.own(state), neighbours], dim=-1))

@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from marl_clean.comm.base import Comm, Width, attend, bits_sent, outgoing
+from marl_clean.comm.base import Comm, Width, attend, outgoing
 from marl_clean.settings import PositiveInt
 
 
@@ -38,29 +38,26 @@ class TarMac(Comm):
         detach: bool,
     ) -> None:
         super().__init__()
-        self.rounds, self.self_included, self.detach = rounds, self_included, detach
+        self.self_included, self.detach = self_included, detach
         self.scale = key_dim**-0.5
         self.message = nn.Linear(in_features, key_dim + message_dim)
         self.query = nn.Linear(in_features, key_dim)
         self.join = nn.Linear(in_features + message_dim, in_features)
-        self.out_features = in_features
+        self.message_dims, self.out_features = (key_dim + message_dim,) * rounds, in_features
 
-    def forward(
+    def speak(
+        self, state: Float[Tensor, "*batch agent feature"], turn: int
+    ) -> Float[Tensor, "*batch agent message"]:
+        return self.message(outgoing(state, self.detach))
+
+    def listen(
         self,
-        feature: Float[Tensor, "*batch agent feature"],
-        adjacency: Bool[Tensor, "*batch agent other"],
+        state: Float[Tensor, "*batch agent feature"],
+        heard: Float[Tensor, "*batch agent message"],
+        live: Bool[Tensor, "*batch agent other"],
         distance_rank: Int[Tensor, "*batch agent other"],
-    ) -> tuple[
-        Float[Tensor, "*batch agent joined"],
-        Float[Tensor, "*batch agent message"],
-        Float[Tensor, "*batch agent 1"],
-    ]:
-        """Return the last features, signatures and values sent, and 32 bits a float and edge."""
-        sent = []
-        for _ in range(self.rounds):
-            sent.append(self.message(outgoing(feature, self.detach)))
-            own = self.message(feature) if self.self_included else None
-            heard = attend(self.query(feature), sent[-1], adjacency, self.scale, own)
-            feature = self.join(torch.cat([feature, heard], dim=-1)).tanh()
-        message = torch.cat(sent, dim=-1)
-        return feature, message, bits_sent(message.shape[-1], adjacency, feature.dtype)
+        turn: int,
+    ) -> Float[Tensor, "*batch agent feature"]:
+        own = self.message(state) if self.self_included else None
+        sum_of_values = attend(self.query(state), heard, live, self.scale, own)
+        return self.join(torch.cat([state, sum_of_values], dim=-1)).tanh()

@@ -1,9 +1,35 @@
 """What the encoders share."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from itertools import pairwise
 
-from torch import nn
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from marl_clean.settings import Recurrence
+
+
+class Encoder(nn.Module, ABC):
+    """Turns what each robot sees into a feature vector, and may remember features seen before.
+
+    Attributes:
+        out_features: length of a feature vector.
+        memory: a GRU cell (arXiv 1406.1078) whose hidden state is the feature, carried from step
+            to step by who runs the network; None: a robot remembers nothing but the map.
+    """
+
+    out_features: int
+    memory: nn.GRUCell | None
+
+    @abstractmethod
+    def forward(self, observation: Float[Tensor, "..."]) -> Float[Tensor, "*batch agent feature"]:
+        """Return one feature vector a robot, from its own observation alone."""
+
+    def remember(self, memory: Recurrence) -> None:
+        """Add the memory that a setting asks for, as wide as the features."""
+        width = self.out_features
+        self.memory = nn.GRUCell(width, width) if memory == "gru" else None
 
 
 def connect(widths: Sequence[int], dropout: float) -> nn.Sequential:

@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from marl_clean.encoder.base import connect
+from marl_clean.encoder.base import Encoder, connect
 from marl_clean.errors import BadInput
-from marl_clean.settings import Form, Layers, NonNegativeInt, PositiveInt, Probability
+from marl_clean.settings import Form, Layers, NonNegativeInt, PositiveInt, Probability, Recurrence
 from marl_clean.world.rules import BLOCKED_VALUE, CLEANED_VALUE, ROBOT_VALUE, UNKNOWN_VALUE
 
 
@@ -34,7 +34,7 @@ def spread_codes(
     return out.movedim(-1, -3)
 
 
-class Cnn(nn.Module):
+class Cnn(Encoder):
     """Turn each robot's square of the map into a feature vector (paper §3.4, figure 3).
 
     Convolutions, each followed by a ReLU, lead into fully connected layers, each followed by a
@@ -50,6 +50,7 @@ class Cnn(nn.Module):
         dropout: share of hidden units dropped while learning.
         planes: spread the map's codes over four planes first, see `spread_codes`.
         channels_last: memory format of the convolutions; faster on a CPU, the same result.
+        memory: `gru`: the features go through a GRU that remembers those of earlier steps.
 
     Raises:
         BadInput: lists of different lengths, an observation that is no square or one too small
@@ -69,6 +70,7 @@ class Cnn(nn.Module):
         dropout: Probability,
         planes: bool,
         channels_last: bool,
+        memory: Recurrence = "none",
     ) -> None:
         super().__init__()
         if len(observation_shape) != 3:
@@ -98,6 +100,7 @@ class Cnn(nn.Module):
         self.convolutions.to(memory_format=self.memory_format)  # type: ignore[call-overload]
         self.connected = connect([channels[-1] * math.prod(sides), *hidden], dropout)
         self.out_features = hidden[-1]
+        self.remember(memory)
 
     def forward(
         self, observation: Float[Tensor, "*batch agent channel row col"]

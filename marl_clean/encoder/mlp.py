@@ -2,14 +2,14 @@
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
-from marl_clean.encoder.base import connect
+from marl_clean.encoder.base import Encoder, connect
 from marl_clean.errors import BadInput
-from marl_clean.settings import Form, Layers, Probability
+from marl_clean.settings import Form, Layers, Probability, Recurrence
 
 
-class Mlp(nn.Module):
+class Mlp(Encoder):
     """Turn each robot's vector, such as its sensors' distances, into a feature vector.
 
     Fully connected layers, each followed by a ReLU and, if asked for, dropout. All robots share
@@ -19,6 +19,7 @@ class Mlp(nn.Module):
         observation_shape: (entries,) of one robot's observation.
         hidden: width of each layer; the last is the feature's.
         dropout: share of hidden units dropped while learning.
+        memory: `gru`: the features go through a GRU that remembers those of earlier steps.
 
     Raises:
         BadInput: one robot's observation is no vector.
@@ -26,12 +27,19 @@ class Mlp(nn.Module):
 
     takes = Form.VECTOR
 
-    def __init__(self, observation_shape: torch.Size, hidden: Layers, dropout: Probability) -> None:
+    def __init__(
+        self,
+        observation_shape: torch.Size,
+        hidden: Layers,
+        dropout: Probability,
+        memory: Recurrence = "none",
+    ) -> None:
         super().__init__()
         if len(observation_shape) != 1:
             raise BadInput(f"encoder=mlp: takes a vector, not {list(observation_shape)}")
         self.connected = connect([observation_shape[0], *hidden], dropout)
         self.out_features = hidden[-1]
+        self.remember(memory)
 
     def forward(
         self, observation: Float[Tensor, "*batch agent entry"]

@@ -2,7 +2,12 @@
 
 from typing import ClassVar
 
+import torch
+from jaxtyping import Int
+from torch import Tensor
 from torchrl.envs import EnvBase
+
+from marl_clean.world.random import Purpose
 
 
 class Played(EnvBase):
@@ -20,6 +25,10 @@ class Played(EnvBase):
     n_agents: int
     num_envs: int
     goes_on_exactly: ClassVar[bool] = True
+
+    def draw(self, purpose: Purpose) -> Int[Tensor, "env agent"]:
+        """Draw a number in [0, 2^32) for each robot in this step, from torch's generator."""
+        return torch.randint(2**32, (self.num_envs, self.n_agents), device=self.device)
 
     def progress(self) -> dict[str, float]:
         """Return what there is to tell of the worlds as they stand, for the log."""

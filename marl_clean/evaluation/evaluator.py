@@ -9,7 +9,8 @@ from collections.abc import Callable
 import torch
 from jaxtyping import Bool, Int
 from omegaconf import DictConfig
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
@@ -22,7 +23,7 @@ from marl_clean.evaluation.episodes import RANDOM, measure_return
 from marl_clean.evaluation.metrics import Record, Recorder
 from marl_clean.evaluation.records import Entry, make_entry, means
 from marl_clean.house.base import Houses
-from marl_clean.keys import ACTION, MESSAGE_BITS
+from marl_clean.keys import ACTION, MESSAGE_BITS, MESSAGE_EDGES
 from marl_clean.planner.base import Planner
 from marl_clean.schema import instantiate
 from marl_clean.settings import HouseOrder
@@ -184,12 +185,19 @@ def act(policy: nn.Module, td: TensorDictBase, playing: Bool[Tensor, " env"]) ->
     if isinstance(policy, Planner) or playing.all():
         return policy(td)
     some = policy(td[playing])
-    for key in (ACTION, MESSAGE_BITS):
+    for key in (ACTION, MESSAGE_EDGES, MESSAGE_BITS, *_carried(policy)):
         value = some.get(key, None)  # not every policy sends messages
         if value is not None:
-            td[key] = value.new_zeros((len(playing), *value.shape[1:]))
-            td[key][playing] = value
+            whole = value.new_zeros((len(playing), *value.shape[1:]))
+            whole[playing] = value
+            td[key] = whole
     return td
+
+
+def _carried(policy: nn.Module) -> list[NestedKey]:
+    """Where a policy writes what it carries to the next step."""
+    assert isinstance(policy, TensorDictModuleBase)
+    return [key for key in policy.out_keys if isinstance(key, tuple) and key[0] == "next"]
 
 
 def with_random_actions(

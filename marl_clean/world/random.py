@@ -23,6 +23,7 @@ class Purpose(IntEnum):
     ACTION = 4
     BUMP = 5
     PLACE = 6
+    CHANNEL = 7
 
 
 def _mix(word: Any) -> Any:

@@ -63,10 +63,11 @@ def within(live: Tensor, rounds: int) -> Tensor:
 def shapes(comm: Comm) -> None:
     for batch in ((), (1,), (5,), (2, 3)):
         for n_agents in (1, 2, 5):
-            feature, message, bits = comm(*draw(*batch, n_agents=n_agents))
+            feature, message, edges, bits = comm(*draw(*batch, n_agents=n_agents))
             assert feature.shape == (*batch, n_agents, comm.out_features)
             assert message.shape[:-1] == (*batch, n_agents)
-            assert bits.shape == (*batch, n_agents, 1)
+            assert message.shape[-1] == sum(comm.message_dims[: comm.rounds])
+            assert edges.shape == bits.shape == (*batch, n_agents, 1)
 
 
 def relabelling_the_robots_relabels_the_result(comm: Comm) -> None:
@@ -100,7 +101,7 @@ def a_dead_edge_has_no_influence_not_even_nan_and_no_gradient(comm: Comm) -> Non
 def gradient_crosses_exactly_the_edges_within_the_rounds(comm: Comm) -> None:
     feature, live, rank = draw(4, n_agents=4, share=0.4)
     feature.requires_grad_()
-    joined, message, _ = comm(feature, live, rank)
+    joined, message, *_ = comm(feature, live, rank)
     reach, itself = within(live, comm.rounds), torch.eye(4, dtype=torch.bool)
     crosses = message.shape[-1] > 0 and not getattr(comm, "detach", False)
     for world in range(4):
@@ -149,9 +150,11 @@ def a_batch_is_its_worlds_one_by_one(comm: Comm) -> None:
 
 def bits_are_those_of_the_numbers_sent(comm: Comm) -> None:
     feature, live, rank = draw(4, n_agents=5)
-    _, message, bits = comm(feature, live, rank)
+    _, message, edges, bits = comm(feature, live, rank)
     numbers = getattr(comm, "observed", message.shape[-1])
-    assert torch.equal(bits, 32 * numbers * live.sum(-1, keepdim=True).to(bits.dtype))
+    neighbours = live.sum(-1, keepdim=True).to(bits.dtype)
+    assert torch.equal(edges, comm.rounds * neighbours)
+    assert torch.equal(bits, comm.bits_per_number * numbers * neighbours)
 
 
 def what_a_robot_sends_depends_on_nobody_out_of_reach(comm: Comm) -> None:

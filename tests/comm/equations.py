@@ -76,7 +76,7 @@ def weigh(query: Vector, keys: Rows, values: Rows) -> Vector:
 def agrees(comm: Comm, expected: Rows, numbers: int) -> None:
     """A scheme gives these features, and each robot pays for this many floats an edge."""
     feature = torch.tensor(FEATURE, dtype=torch.float64)
-    joined, _, bits = comm.double()(feature, LIVE, RANK)
+    joined, _, _, bits = comm.double()(feature, LIVE, RANK)
     torch.testing.assert_close(joined, torch.tensor(expected, dtype=torch.float64))
     paid: Tensor = torch.tensor([[2.0], [1.0], [1.0], [0.0]], dtype=torch.float64)
     assert torch.equal(bits, 32 * numbers * paid)

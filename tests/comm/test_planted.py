@@ -49,25 +49,23 @@ class Unscaled(TarMac):
 class EveryoneHeard(TarMac):
     """Attends to dead edges."""
 
-    def forward(self, feature, adjacency, distance_rank):
-        joined, message, _ = super().forward(feature, distance_rank > 0, distance_rank)
-        return joined, message, super().forward(feature, adjacency, distance_rank)[2]
+    def listen(self, state, heard, live, distance_rank, turn):
+        return super().listen(state, heard, distance_rank > 0, distance_rank, turn)
 
 
 class OneRoundPaid(Dgn):
     """Charges for the first round only."""
 
-    def forward(self, feature, adjacency, distance_rank):
-        joined, message, bits = super().forward(feature, adjacency, distance_rank)
-        return joined, message, bits / self.rounds
+    def numbers(self, turn):
+        return super().numbers(turn) if turn == 0 else 0
 
 
 class ByNumber(Plan):
     """Orders the neighbours by their numbers instead of their distance."""
 
-    def forward(self, feature, adjacency, distance_rank):
-        number = torch.arange(feature.shape[-2]).expand(distance_rank.shape)
-        return super().forward(feature, adjacency, number.contiguous())
+    def listen(self, state, heard, live, distance_rank, turn):
+        number = torch.arange(state.shape[-2]).expand(distance_rank.shape)
+        return super().listen(state, heard, live, number.contiguous(), turn)
 
 
 class FarOff(CommNet):

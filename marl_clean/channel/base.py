@@ -1,0 +1,143 @@
+"""What becomes of messages between being sent and being heard, whatever the scheme."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from math import tau
+
+import torch
+from jaxtyping import Bool, Float, Int
+from tensordict.utils import NestedKey
+from torch import Tensor, nn
+from torchrl.data import TensorSpec
+
+from marl_clean.delivery import Delivery
+from marl_clean.world.random import random_bits
+
+Dims = tuple[int, ...]
+"""Numbers in the message of each round; handed over by the network's builder."""
+
+
+class Salt(IntEnum):
+    """What a channel draws for; draws for different things are independent."""
+
+    LOSS = 1
+    BURST = 2
+    AGE = 3
+    NOISE = 4
+    ORDER = 5
+
+
+@dataclass
+class Step:
+    """One step as a channel lives it.
+
+    Attributes:
+        seed: `[*B, n]` int64 in [0, 2^32), a draw for each robot; None where no channel draws.
+        state: what the channel remembers of the step before; None where it remembers nothing.
+        passed: the messages and edges that came to this channel, round by round.
+    """
+
+    seed: Tensor | None
+    state: Tensor | None
+    passed: list[tuple[Tensor, Tensor]] = field(default_factory=list)
+
+    def bits(self, salt: Salt, *words: int | Tensor) -> Int[Tensor, "*batch agent n"]:
+        """Return draws in [0, 2^32) for each robot and each of the words, which broadcast."""
+        assert self.seed is not None
+        return random_bits(int(salt), self.seed.unsqueeze(-1), *words)
+
+    def uniform(self, salt: Salt, count: int, turn: int = 0) -> Float[Tensor, "*batch agent n"]:
+        """Return `count` numbers in (0, 1) for each robot: a function of its seed alone."""
+        assert self.seed is not None
+        index = torch.arange(count, device=self.seed.device)
+        return ((self.bits(salt, turn, index) >> 9).float() + 0.5) / 2**23
+
+    def normal(self, salt: Salt, count: int, turn: int = 0) -> Float[Tensor, "*batch agent n"]:
+        """Return `count` standard normal numbers for each robot (Box and Muller, 1958)."""
+        first, second = self.uniform(salt, 2 * count, turn).chunk(2, dim=-1)
+        return (-2 * first.log()).sqrt() * (tau * second).cos()
+
+
+class Channel(nn.Module):
+    """What becomes of messages on their way; this one does nothing.
+
+    Channels stack: what one lets through comes to the next. Draws are functions of the seeds that
+    came with the observation, so a replayed frame loses the very messages that it lost, and how
+    many worlds are played at once changes nothing.
+
+    Attributes:
+        draws: it needs seeds.
+        bits_per_number: what a number costs on this way; None: as it came.
+        remembers: where what it carries from step to step stands in a frame; None: nowhere.
+        holds_messages: what it carries was made by the network, so gradients cross steps.
+    """
+
+    draws: bool = False
+    bits_per_number: int | None = None
+    remembers: NestedKey | None = None
+    holds_messages: bool = False
+
+    def address(
+        self,
+        edges: Bool[Tensor, "*batch agent other"],
+        distance_rank: Int[Tensor, "*batch agent other"],
+        rounds: int,
+    ) -> Bool[Tensor, "*batch agent other"]:
+        """Return over which of the edges anything is sent at all; [i, j]: from j to i."""
+        return edges
+
+    def carry(
+        self,
+        message: Float[Tensor, "*batch agent message"],
+        edges: Bool[Tensor, "*batch agent other"],
+        turn: int,
+        step: Step,
+    ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
+        """Return what is heard of a round's messages, and over which edges."""
+        return message, edges
+
+    def state_spec(self, n_agents: int, message_dims: Dims) -> TensorSpec:
+        """Return the spec of what it carries, without batch; an episode starts with zeros."""
+        raise NotImplementedError(f"{type(self).__name__} carries nothing")
+
+    def state_after(self, step: Step) -> Tensor:
+        """Return what it carries to the next step."""
+        raise NotImplementedError(f"{type(self).__name__} carries nothing")
+
+
+class Crossing(Delivery):
+    """One step through a stack of channels, the first nearest to the sender."""
+
+    def __init__(
+        self,
+        channels: Sequence[Channel],
+        adjacency: Bool[Tensor, "*batch agent other"],
+        distance_rank: Int[Tensor, "*batch agent other"],
+        rounds: int,
+        seed: Int[Tensor, "*batch agent"] | None,
+        states: Sequence[Tensor | None],
+    ) -> None:
+        self.channels = channels
+        self.steps = [Step(seed, state) for state in states]
+        self.sent = adjacency
+        for channel in channels:
+            self.sent = channel.address(self.sent, distance_rank, rounds)
+            self.bits_per_number = channel.bits_per_number or self.bits_per_number
+
+    def __call__(
+        self, message: Float[Tensor, "*batch agent message"], turn: int
+    ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
+        edges = self.sent
+        for channel, step in zip(self.channels, self.steps, strict=True):
+            step.passed.append((message, edges))
+            message, edges = channel.carry(message, edges, turn, step)
+        return message, edges
+
+    def states_after(self) -> list[Tensor]:
+        """Return what the channels that carry something carry to the next step, in their order."""
+        return [
+            channel.state_after(step)
+            for channel, step in zip(self.channels, self.steps, strict=True)
+            if channel.remembers is not None
+        ]

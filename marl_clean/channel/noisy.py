@@ -1,0 +1,34 @@
+"""Noise is added to every number on its way."""
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from marl_clean.channel.base import Channel, Salt, Step
+from marl_clean.settings import PositiveFloat
+
+
+class Noisy(Channel):
+    """Add Gaussian noise to what is heard: m + std z, z standard normal.
+
+    One draw for each number that a robot sends, the same for all who hear it. Noise passes
+    gradients on as they are.
+
+    Args:
+        std: standard deviation; messages of `tanh` lie in [-1, 1], others have no limit.
+    """
+
+    draws = True
+
+    def __init__(self, std: PositiveFloat) -> None:
+        super().__init__()
+        self.std = std
+
+    def carry(
+        self,
+        message: Float[Tensor, "*batch agent message"],
+        edges: Bool[Tensor, "*batch agent other"],
+        turn: int,
+        step: Step,
+    ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
+        noise = step.normal(Salt.NOISE, message.shape[-1], turn)
+        return message + self.std * noise.to(message.dtype), edges
