@@ -5,7 +5,7 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictModuleBase
-from torchrl.envs import Compose, RewardSum, Transform, TransformedEnv
+from torchrl.envs import Compose, InitTracker, RewardSum, Transform, TransformedEnv
 
 from marl_clean import keys
 from marl_clean.agent.base import Agent
@@ -153,6 +153,15 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
         num_actions=env.full_action_spec[keys.ACTION].n,
         device=cfg.device,
     )
+
+
+def ready_for(agent: Agent, env: TransformedEnv) -> TransformedEnv:
+    """Return an env whose episodes begin with nothing carried, and tell when they begin."""
+    primer = agent.primer()
+    if primer is not None:
+        env.append_transform(InitTracker())
+        env.append_transform(primer)
+    return env
 
 
 def start_from(agent: Agent, cfg: DictConfig) -> None:

@@ -60,6 +60,7 @@ def train(cfg: DictConfig, folder: Path) -> Outcome:
     torch.manual_seed(cfg.seed)
     env = build.make_env(cfg)
     agent = build.make_agent(cfg, env)
+    env = build.ready_for(agent, env)
     only = {} if plays_houses(cfg) else {"select_by": "return"}  # all that is measured there
     trainer = instantiate(cfg.trainer, **only)
     trainer.check(env)

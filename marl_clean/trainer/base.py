@@ -108,6 +108,25 @@ class Windows(MultiStepTransform):
         self._buffer = state
 
 
+class Rows:
+    """Cuts what worlds play into rows of so many frames, one world's each.
+
+    Attributes:
+        open: the frames `[env, time]` that do not fill a row yet; None before the first.
+    """
+
+    def __init__(self, frames: int) -> None:
+        self.frames = frames
+        self.open: TensorDictBase | None = None
+
+    def full(self, block: TensorDictBase) -> Iterator[TensorDictBase]:
+        """Add a block `[env, time]` and return the rows `[env, frames]` that are full now."""
+        self.open = block if self.open is None else torch.cat([self.open, block], dim=1)
+        while self.open.shape[1] >= self.frames:
+            yield self.open[:, : self.frames].contiguous()
+            self.open = self.open[:, self.frames :].contiguous()
+
+
 class CarriedCollector(Collector):
     """TorchRL's collector, with the step that it carries from block to block as its state."""
 

@@ -28,6 +28,7 @@ from marl_clean.trainer.base import (
     Outcome,
     Stopped,
     Tally,
+    Rows,
     Windows,
     check_finite,
     random_state,
@@ -58,6 +59,9 @@ class OffPolicy:
         replay_ratio: frames learnt from for each new one.
         start_frames: frames played before the first update.
         log_interval_frames, eval_interval_frames, checkpoint_interval_frames: how often.
+        window_frames: frames in a row of one world that a network learns from together which
+            carries something from step to step: a memory, or messages under way. Its first frame
+            starts from what was carried when it was played, and gradients cross the others.
         select_by: the measure on validation houses by which the best weights are chosen.
         curriculum_stages, curriculum_promote_at, curriculum_window_episodes: see `Curriculum`.
     """
@@ -77,6 +81,7 @@ class OffPolicy:
         curriculum_stages: PositiveInt = 1,
         curriculum_promote_at: Probability = 0.9,
         curriculum_window_episodes: PositiveInt = 500,
+        window_frames: PositiveInt = 8,
     ) -> None:
         self.total_frames = total_frames
         self.frames_per_batch = frames_per_batch
@@ -88,10 +93,17 @@ class OffPolicy:
         self.eval_interval_frames = eval_interval_frames
         self.checkpoint_interval_frames = checkpoint_interval_frames
         self.select_by = select_by
+        self.window_frames = window_frames
         self.curriculum = curriculum_stages, curriculum_promote_at, curriculum_window_episodes
 
     def check(self, env: EnvBase) -> None:
         """Raise BadInput where a setting does not fit the env."""
+        for key in ("buffer_frames", "batch_frames"):
+            if getattr(self, key) < self.window_frames:
+                raise BadInput(
+                    f"trainer.{key}={getattr(self, key)}: must hold at least"
+                    f" trainer.window_frames={self.window_frames}"
+                )
         num_envs = env.batch_size.numel()
         if self.frames_per_batch % num_envs:
             near = max(1, self.frames_per_batch // num_envs) * num_envs
@@ -173,9 +185,11 @@ class _Run:
         )
         self.blocks = iter(self.collector)
         self.windows = Windows(agent.n_steps, agent.gamma)
+        self.rows = Rows(settings.window_frames) if agent.unrolls else None
+        together = 1 if self.rows is None else settings.window_frames
         self.replay = TensorDictReplayBuffer(
-            storage=LazyTensorStorage(settings.buffer_frames, device=env.device),
-            batch_size=settings.batch_frames,
+            storage=LazyTensorStorage(settings.buffer_frames // together, device=env.device),
+            batch_size=settings.batch_frames // together,
         )
         self.tally = Tally()
         self.frames = self.updates = 0
@@ -193,7 +207,8 @@ class _Run:
         ready = self.windows.inv(block.select(*self.agent.learns_from))
         if ready is not None:
             ready = ready.select(*self.agent.learns_from, keys.STEPS_TO_NEXT_OBS)
-            self.replay.extend(ready.flatten())
+            for items in [ready.flatten()] if self.rows is None else self.rows.full(ready):
+                self.replay.extend(items)
         done = later[keys.DONE].squeeze(-1)
         self.tally.add("reward", later[keys.REWARD])
         self.tally.add("episode_reward", later[keys.EPISODE_REWARD].mean((-2, -1)), where=done)
@@ -270,6 +285,7 @@ class _Run:
             "env": dict(self.env.base_env.state_dict()),
             "carried": self.collector.state(),
             "windows": self.windows.state(),
+            "rows": None if self.rows is None else self.rows.open,
             "replay": replay_state(self.replay),
             "tally": self.tally.state(),
             "curriculum": self.curriculum.state(),
@@ -299,6 +315,8 @@ class _Run:
             self.collector.restore(state["carried"].to(device))
             windows = state["windows"]
             self.windows.restore(None if windows is None else windows.to(device))
+            if self.rows is not None and state["rows"] is not None:
+                self.rows.open = state["rows"].to(device)
         else:
             log.warning("frame %d: goes on with new episodes; env cannot save its own", self.frames)
             self.collector.begin_anew()
