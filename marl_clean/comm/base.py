@@ -55,6 +55,7 @@ class Comm(nn.Module, ABC):
         message_dims: numbers in the message of each round; there are as many rounds as entries,
             and what a robot knows crosses as many edges within one step.
         bits_per_number: what one costs.
+        dilutes: what is heard is divided by how many other robots there are, in reach or not.
         delay_steps: steps after which a message is heard, as part of the scheme.
         out_features: length of the features it gives.
     """
@@ -62,6 +63,7 @@ class Comm(nn.Module, ABC):
     message_dims: Sequence[int]
     out_features: int
     bits_per_number: int = BITS_PER_FLOAT
+    dilutes: bool = False
     delay_steps: int = 0
 
     @property

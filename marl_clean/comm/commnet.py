@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from marl_clean.comm.base import Comm, Width, outgoing, sum_live
 from marl_clean.settings import PositiveInt
 
-State = tuple[Tensor, Tensor]  # W_x feature, and the hidden state
+State = tuple[Tensor, ...]  # W_x feature, the hidden state, and what a scheme built on it adds
 
 
 class CommNet(Comm):
@@ -42,7 +42,8 @@ class CommNet(Comm):
         detach: bool,
     ) -> None:
         super().__init__()
-        self.divisor, self.detach = divisor, detach
+        self.dilutes = divisor == "others"
+        self.detach = detach
         self.skip = nn.Linear(in_features, hidden)
         self.own = nn.ModuleList(nn.Linear(hidden, hidden, bias=False) for _ in range(rounds))
         self.heard = nn.ModuleList(nn.Linear(hidden, hidden, bias=False) for _ in range(rounds))
@@ -63,9 +64,9 @@ class CommNet(Comm):
         distance_rank: Int[Tensor, "*batch agent other"],
         turn: int,
     ) -> State:
-        skip, hidden = state
+        skip, hidden, *further = state
         own, others = self.own[turn], self.heard[turn]
-        return skip, torch.tanh(skip + own(hidden) + others(self.mean(heard, live)))
+        return skip, torch.tanh(skip + own(hidden) + others(self.mean(heard, live))), *further
 
     def end(self, state: State) -> Float[Tensor, "*batch agent hidden"]:
         return state[1]
@@ -75,8 +76,8 @@ class CommNet(Comm):
         hidden: Float[Tensor, "*batch agent hidden"],
         adjacency: Bool[Tensor, "*batch agent agent"],
     ) -> Float[Tensor, "*batch agent hidden"]:
-        """Return the sum over live edges, divided as `divisor` says; 0 without any."""
+        """Return the sum over live edges, divided as asked for; 0 without any."""
         total = sum_live(hidden, adjacency)
-        if self.divisor == "others":
+        if self.dilutes:
             return total / max(1, adjacency.shape[-1] - 1)
         return total / adjacency.sum(-1, keepdim=True).clamp(min=1)

@@ -15,7 +15,7 @@ FEATURES = 12
 OBSERVED = torch.Size([2, 5, 5])
 CONF = Path(__file__).parents[2] / "conf" / "comm"
 LEVELS = [(path.stem, {}) for path in sorted(CONF.glob("*.yaml"))]
-VARIANTS: list[tuple[str, dict[str, Any]]] = [
+ALL: list[tuple[str, dict[str, Any]]] = [
     *LEVELS,
     ("plan", {"combine": "sum"}),
     ("plan", {"max_neighbours": 1}),
@@ -24,23 +24,27 @@ VARIANTS: list[tuple[str, dict[str, Any]]] = [
     ("full_state", {"detach": True}),
     ("commnet", {"rounds": 1}),
     ("commnet", {"rounds": 3, "detach": True}),
+    ("commnet", {"divisor": "others"}),
+    ("commnet", {"divisor": "others", "rounds": 1}),
     ("tarmac", {"rounds": 3}),
     ("tarmac", {"rounds": 2, "self_included": True}),
     ("tarmac", {"self_included": True, "detach": True}),
+    ("ic3net", {"rounds": 2, "detach": True}),
+    ("dial", {"combine": "sum"}),
     ("dgn", {"rounds": 1, "heads": 1}),
     ("dgn", {"detach": True}),
 ]
-DILUTED: list[tuple[str, dict[str, Any]]] = [
-    ("commnet", {"divisor": "others"}),
-    ("commnet", {"divisor": "others", "rounds": 1}),
-]
-"""Whose result depends on how many robots there are, by definition."""
 
 
 def make(level: str, **changes: Any) -> Comm:
     torch.manual_seed(0)
     section = OmegaConf.merge(OmegaConf.load(CONF / f"{level}.yaml"), changes)
-    return make_comm(section, FEATURES, OBSERVED).double()
+    return make_comm(section, FEATURES, OBSERVED).double().eval()
+
+
+VARIANTS = [variant for variant in ALL if not make(variant[0], **variant[1]).dilutes]
+DILUTED = [variant for variant in ALL if variant not in VARIANTS]
+"""Whose result depends on how many robots there are, by definition."""
 
 
 def draw(*batch: int, n_agents: int, share: float = 0.5, seed: int = 0):
@@ -58,6 +62,12 @@ def within(live: Tensor, rounds: int) -> Tensor:
     """Whether j is i itself or at most so many live edges away."""
     itself = torch.eye(live.shape[-1], dtype=torch.float64).expand(live.shape)
     return torch.linalg.matrix_power(itself + live, rounds) > 0
+
+
+def gated(comm: Comm) -> bool:
+    """Whether robots may choose to be silent."""
+    feature = torch.zeros(1, FEATURES, dtype=torch.float64)
+    return comm.rounds > 0 and comm.gate(comm.begin(feature), 0) is not None
 
 
 def shapes(comm: Comm) -> None:
@@ -101,7 +111,9 @@ def a_dead_edge_has_no_influence_not_even_nan_and_no_gradient(comm: Comm) -> Non
 def gradient_crosses_exactly_the_edges_within_the_rounds(comm: Comm) -> None:
     feature, live, rank = draw(4, n_agents=4, share=0.4)
     feature.requires_grad_()
-    joined, message, *_ = comm(feature, live, rank)
+    torch.manual_seed(0)
+    joined, message, *_ = comm.train()(feature, live, rank)  # in use bits and gates have none
+    comm.eval()
     reach, itself = within(live, comm.rounds), torch.eye(4, dtype=torch.bool)
     crosses = message.shape[-1] > 0 and not getattr(comm, "detach", False)
     for world in range(4):
@@ -128,7 +140,8 @@ def rounds_reach_as_many_hops_and_no_further(comm: Comm) -> None:
         moved = feature.clone()
         moved[sender] += 1
         changed = (comm(moved, live, rank.argsort(-1))[0] != before).any(-1)
-        if getattr(comm, "places", None) == 1:  # in a line, one of two neighbours is not heard
+        one_is_heard = getattr(comm, "places", None) == 1  # of two neighbours in a line
+        if one_is_heard or gated(comm):
             assert not changed[(place - sender).abs() > comm.rounds].any()
         else:
             assert torch.equal(changed, (place - sender).abs() <= comm.rounds)
@@ -153,6 +166,9 @@ def bits_are_those_of_the_numbers_sent(comm: Comm) -> None:
     _, message, edges, bits = comm(feature, live, rank)
     numbers = getattr(comm, "observed", message.shape[-1])
     neighbours = live.sum(-1, keepdim=True).to(bits.dtype)
+    if gated(comm):
+        neighbours = neighbours * message.ne(0).any(-1, keepdim=True)
+        assert 0 < neighbours.sum() < live.sum()  # some speak
     assert torch.equal(edges, comm.rounds * neighbours)
     assert torch.equal(bits, comm.bits_per_number * numbers * neighbours)
 

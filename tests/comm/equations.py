@@ -11,7 +11,9 @@ from torch import Tensor, nn
 from marl_clean.comm.base import Comm
 from marl_clean.comm.commnet import CommNet
 from marl_clean.comm.dgn import Dgn
+from marl_clean.comm.dial import Dial
 from marl_clean.comm.full_state import FullState
+from marl_clean.comm.ic3net import Ic3Net
 from marl_clean.comm.plan import Plan
 from marl_clean.comm.tarmac import TarMac
 
@@ -188,3 +190,52 @@ def dgn(heads: int, kind: type[Dgn] = Dgn) -> None:
         hidden = after
         features = [before + new for before, new in zip(features, hidden, strict=True)]
     agrees(comm, features, numbers=4)
+
+
+def ic3net(rounds: int = 1, kind: type[Ic3Net] = Ic3Net) -> None:
+    """Robot 1 is silent: what it would say is 0, and what is heard is divided by 3 all the same."""
+    comm = kind(2, hidden=2, rounds=rounds, temperature=1.0, detach=False).eval()
+    put(comm.skip, A, SHIFT)
+    for layer in comm.own:
+        put(layer, B)
+    for layer in comm.heard:
+        put(layer, C)
+    put(comm.speaks.logit, [[1.0, -1.0]], [1.0])
+    skip = [times(A, h, SHIFT) for h in FEATURE]
+    hidden = [squash(x) for x in skip]
+    speaks = [times([[1.0, -1.0]], h, [1.0])[0] > 0 for h in hidden]
+    for _ in range(rounds):
+        total = [plus([0.0, 0.0], *(hidden[j] for j in others if speaks[j])) for others in HEARS]
+        hidden = [
+            squash(plus(x, times(B, h), times(C, [entry / 3 for entry in m])))
+            for x, h, m in zip(skip, hidden, total, strict=True)
+        ]
+    assert speaks == [True, False, True, True]
+    feature = torch.tensor(FEATURE, dtype=torch.float64)
+    joined, _, edges, bits = comm.double()(feature, LIVE, RANK)
+    torch.testing.assert_close(joined, torch.tensor(hidden, dtype=torch.float64))
+    sent = [rounds * len(others) * speaks[i] for i, others in enumerate(HEARS)]
+    assert edges.flatten().tolist() == sent
+    assert bits.flatten().tolist() == [64.0 * count for count in sent]
+
+
+def dial() -> None:
+    """In use bits, cut at a > 0, cost a bit each."""
+    comm = Dial(
+        2, message_dim=2, hidden=2, received=2, combine="sum", max_neighbours=2, noise_std=2.0
+    ).eval()
+    put(comm.message[0], A, SHIFT)
+    put(comm.message[2], C, [-0.25, 0.0])
+    put(comm.received, B, SHIFT)
+    put(comm.own, B)
+    put(comm.join, WIDE)
+    logits = [times(C, relu(times(A, h, SHIFT)), [-0.25, 0.0]) for h in FEATURE]
+    bits = [[float(entry > 0) for entry in logit] for logit in logits]
+    assert any(0 < 1 / (1 + exp(-e)) < 0.5 for logit in logits for e in logit)
+    received = [relu(times(B, m, SHIFT)) for m in bits]
+    expected = [joined(relu(times(B, h)), received, i, "sum") for i, h in robots()]
+    feature = torch.tensor(FEATURE, dtype=torch.float64)
+    result, said, _, cost = comm.double()(feature, LIVE, RANK)
+    torch.testing.assert_close(result, torch.tensor(expected, dtype=torch.float64))
+    assert said.tolist() == bits
+    assert cost.flatten().tolist() == [4.0, 2.0, 2.0, 0.0]

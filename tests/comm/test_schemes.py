@@ -6,9 +6,11 @@ import pytest
 import torch
 
 from marl_clean.comm.base import Comm
+from marl_clean.comm.commnet import CommNet
 from tests.comm.contract import (
     CONTRACT,
     DILUTED,
+    LEVELS,
     VARIANTS,
     draw,
     make,
@@ -37,6 +39,7 @@ def test_robots_out_of_reach_may_be_added_anywhere(variant: tuple[str, dict]) ->
 @pytest.mark.parametrize("variant", DILUTED, ids=name_of)
 def test_robots_out_of_reach_dilute_where_all_others_divide(variant: tuple[str, dict]) -> None:
     comm = make(variant[0], **variant[1])
+    assert isinstance(comm, CommNet)
     with pytest.raises(AssertionError):
         robots_out_of_reach_may_be_added_anywhere(comm)
     hidden, live, _ = draw(3, n_agents=5, share=0.7)
@@ -59,18 +62,18 @@ def test_the_zeroed_twin_has_the_parameters_of_plan() -> None:
         assert not torch.equal(plan(feature, live, rank)[0], expected)
 
 
-@pytest.mark.parametrize("level", ["plan", "zeroed", "full_state", "commnet", "tarmac", "dgn"])
+@pytest.mark.parametrize("level", [level for level, _ in LEVELS if level != "none"])
 def test_every_weight_gets_a_gradient(level: str) -> None:
-    comm = make(level)
+    comm = make(level).train()
     comm(*draw(4, n_agents=4))[0].sum().backward()
     assert all(weight.grad is not None for weight in comm.parameters())
 
 
-@pytest.mark.parametrize("level", ["full_state", "commnet", "tarmac", "dgn"])
+@pytest.mark.parametrize("level", ["full_state", "commnet", "tarmac", "dgn", "ic3net"])
 def test_detached_messages_change_gradients_only(level: str) -> None:
     inputs = draw(4, n_agents=4)
     attached, detached = make(level), make(level, detach=True)
     for mine, theirs in zip(attached(*inputs), detached(*inputs), strict=True):
         assert torch.equal(mine, theirs)
-    detached(*inputs)[0].sum().backward()
+    detached.train()(*inputs)[0].sum().backward()
     assert all(weight.grad is not None for weight in detached.parameters())

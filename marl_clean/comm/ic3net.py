@@ -1,0 +1,73 @@
+"""IC3Net: a robot decides whether it speaks at all."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from marl_clean.comm.base import NoisyWhileLearning, Width, outgoing
+from marl_clean.comm.commnet import CommNet, State
+from marl_clean.settings import PositiveFloat, PositiveInt
+
+
+class Gate(NoisyWhileLearning):
+    """Decide between 0 and 1, and learn as if by their probability (straight-through Gumbel).
+
+        learning: g = 1 if l + z > 0 else 0, z logistic;    dg/dl = that of sigmoid((l + z) / t)
+        used:     g = 1 if l > 0 else 0
+
+    The difference of two Gumbel numbers is logistic. Source: arXiv 1611.01144, with two classes.
+    """
+
+    def __init__(self, width: int, temperature: float) -> None:
+        super().__init__()
+        self.logit = nn.Linear(width, 1)
+        self.temperature = temperature
+
+    def forward(self, hidden: Float[Tensor, "*batch hidden"]) -> Float[Tensor, "*batch 1"]:
+        logit = self.logit(hidden)
+        if not self.training:
+            return (logit > 0).to(logit.dtype)
+        uniform = torch.rand_like(logit).clamp(1e-6, 1 - 1e-6)
+        noisy = logit + uniform.log() - (1 - uniform).log()
+        soft = (noisy / self.temperature).sigmoid()
+        return soft + ((noisy > 0).to(logit.dtype) - soft).detach()
+
+
+class Ic3Net(CommNet):
+    """Hear the sum of what others choose to say, over how many others there are.
+
+        x_i = W_x feature_i,    h_i = tanh(x_i),    g_i = gate(h_i), 0 or 1, once a step
+        each round: h'_i = tanh(x_i + F h_i + C sum over live edges of g_j h_j / (n - 1))
+
+    Silence dilutes: the divisor is all other robots, so the result depends on how many there are,
+    also out of reach. Who does not speak pays nothing. The gate learns by straight-through Gumbel
+    from the hearers' losses, also where it is shut.
+
+    Source: arXiv 1812.09755, a value-based port: there the gate is an action of policy gradients,
+    it takes effect a step later, and a robot remembers by an LSTM (here `encoder.memory`).
+
+    Args:
+        in_features: length of the encoder's features.
+        hidden: width of the hidden state, and so floats in a message.
+        rounds: messages a step; each is paid for.
+        temperature: of the gate's gradient; lower is nearer to a step, and steeper.
+        detach: a receiver's loss does not reach the sender's hidden state, only the gate's weights.
+    """
+
+    def __init__(
+        self,
+        in_features: Width,
+        hidden: PositiveInt,
+        rounds: PositiveInt,
+        temperature: PositiveFloat,
+        detach: bool,
+    ) -> None:
+        super().__init__(in_features, hidden, rounds, divisor="others", detach=detach)
+        self.speaks = Gate(hidden, temperature)
+
+    def begin(self, feature: Float[Tensor, "*batch agent feature"]) -> State:
+        skip, hidden = super().begin(feature)
+        return skip, hidden, self.speaks(outgoing(hidden, self.detach))
+
+    def gate(self, state: State, turn: int) -> Float[Tensor, "*batch agent 1"]:
+        return state[2]
