@@ -14,6 +14,7 @@ from marl_clean.channel.base import Channel, Crossing
 from marl_clean.channel.delayed import Later
 from marl_clean.channel.perfect import Perfect
 from marl_clean.comm.base import Comm, Talk
+from marl_clean.delivery import Delivery, Repeated
 from marl_clean.encoder.base import Encoder
 from marl_clean.settings import Precision
 
@@ -90,13 +91,16 @@ class RobotsNetwork(nn.Module):
         adjacency: Bool[Tensor, "*batch agent agent"],
         distance_rank: Int[Tensor, "*batch agent agent"],
         *others: Shaped[Tensor, "..."],
+        said: Float[Tensor, "*batch agent message"] | None = None,
     ) -> tuple[Float[Tensor, "*batch agent out"], Talk, Carried]:
         """Return the outputs, what was said, and what is carried to the next step.
 
         `observation` is [*batch, agent, ...], as the encoder takes it; `others` are the channel's
-        seeds, if it draws, and what is carried from the step before.
+        seeds, if it draws, and what is carried from the step before. With `said`, these messages
+        go on their way, whatever the robots would say.
         """
-        return self.decide(self.encode(observation), adjacency, distance_rank, *others)
+        feature = self.encode(observation)
+        return self.decide(feature, adjacency, distance_rank, *others, said=said)
 
     def encode(self, observation: Float[Tensor, "..."]) -> Float[Tensor, "*batch agent feature"]:
         with torch.autocast(observation.device.type, torch.bfloat16, enabled=self.reduced):
@@ -109,6 +113,7 @@ class RobotsNetwork(nn.Module):
         adjacency: Bool[Tensor, "*batch agent agent"],
         distance_rank: Int[Tensor, "*batch agent agent"],
         *others: Shaped[Tensor, "..."],
+        said: Float[Tensor, "*batch agent message"] | None = None,
     ) -> tuple[Float[Tensor, "*batch agent out"], Talk, Carried]:
         """Return what `forward` does, from features of the encoder."""
         given = list(others)
@@ -118,13 +123,13 @@ class RobotsNetwork(nn.Module):
             flat = feature.flatten(0, -2), given.pop(0).flatten(0, -2)
             feature = self.encoder.memory(*flat).unflatten(0, feature.shape[:-1])
             carried.append(feature)
-        if not self.ways:
-            talk = self.comm(feature, adjacency, distance_rank)
-            return self.out(talk.feature), talk, tuple(carried)
         states = [None if way.remembers is None else given.pop(0) for way in self.ways]
         rounds = self.comm.rounds
         crossing = Crossing(self.ways, adjacency, distance_rank, rounds, seed, states)
-        talk = self.comm(feature, adjacency, distance_rank, crossing)
+        way: Delivery = (
+            crossing if said is None else Repeated(crossing, said, self.comm.message_dims)
+        )
+        talk = self.comm(feature, adjacency, distance_rank, way)
         return self.out(talk.feature), talk, (*carried, *crossing.states_after())
 
     def unroll(
@@ -134,6 +139,7 @@ class RobotsNetwork(nn.Module):
         adjacency: Bool[Tensor, "*batch time agent agent"],
         distance_rank: Int[Tensor, "*batch time agent agent"],
         *others: Shaped[Tensor, "..."],
+        said: Float[Tensor, "*batch time agent message"] | None = None,
     ) -> Float[Tensor, "*batch time agent out"]:
         """Return the outputs over frames in a row; gradients cross from frame to frame.
 
@@ -152,7 +158,8 @@ class RobotsNetwork(nn.Module):
                     torch.where(expand_as_right(fresh, c), torch.zeros_like(c), c) for c in carried
                 )
             now = (x.select(time, t) for x in (feature, adjacency, distance_rank, *drawn))
-            out, _, carried = self.decide(*now, *carried)
+            repeated = None if said is None else said.select(time, t)
+            out, _, carried = self.decide(*now, *carried, said=repeated)
             outputs.append(out)
         return torch.stack(outputs, dim=time)
 

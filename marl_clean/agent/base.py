@@ -132,6 +132,9 @@ class DeepQ(Agent):
             the one to the other over this fraction of the frames, and stays.
         precision: the encoder's arithmetic; bfloat16 is faster.
         augment: learn from each frame turned or mirrored, the same way for all its robots.
+        messages: in learning, made anew by the present weights, or those that were sent; of the
+            next frame they are always made anew.
+        next_graph: who talks to whom in the next frame: as it was then, or as in this one.
         n_agents: robots in a world.
         num_actions: actions of a robot.
         device: where the network lives.
@@ -159,6 +162,8 @@ class DeepQ(Agent):
         annealing_fraction: Probability,
         precision: Precision,
         augment: bool,
+        messages: Literal["recomputed", "replayed"] = "recomputed",
+        next_graph: Literal["own", "reused"] = "own",
         channels: Channels = MappingProxyType({}),
         n_agents: Count = 2,
         num_actions: Count = NUM_ACTIONS,
@@ -168,7 +173,7 @@ class DeepQ(Agent):
         self.eps_init, self.eps_end, self.annealing_fraction = eps_init, eps_end, annealing_fraction
         self.lr, self.lr_end = lr, lr_end
         self.max_grad_norm = max_grad_norm
-        self.augment = augment
+        self.augment, self.messages, self.next_graph = augment, messages, next_graph
         self.n_agents, self.num_actions = n_agents, num_actions
         network = self.make_network(encoder, comm, dueling, precision, channels)
         self.network = network.to(device).eval()
@@ -199,7 +204,8 @@ class DeepQ(Agent):
     def learns_from(self) -> Sequence[NestedKey]:
         later = (*self.sees, keys.REWARD, keys.DONE, keys.TERMINATED)
         begins = (keys.IS_INIT,) if self.unrolls else ()
-        return (*self.sees, keys.ACTION, *begins, *(("next", key) for key in later))
+        said = (keys.MESSAGE,) if self.messages == "replayed" else ()
+        return (*self.sees, keys.ACTION, *begins, *said, *(("next", key) for key in later))
 
     @property
     @abstractmethod
@@ -253,7 +259,8 @@ class DeepQ(Agent):
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Take one step of Adam on a batch of frames, then let the target network follow."""
         self._set_noise(True)
-        loss = self._loss(self._frames_to_learn(batch))["loss"]
+        frames = self._frames_to_learn(batch)
+        loss = self._loss(frames)["loss"] + self.side_loss(frames)
         self._optimiser.zero_grad()
         loss.backward()
         grad_norm = nn.utils.clip_grad_norm_(self._parameters, self.max_grad_norm)
@@ -274,8 +281,15 @@ class DeepQ(Agent):
             (now, then), action = symmetry.turn_in_eighths([now, then], frames[keys.ACTION])
             frames[keys.OBSERVATION], frames["next", keys.OBSERVATION] = now, then
             frames[keys.ACTION] = action
+        if self.next_graph == "reused":
+            for key in (keys.ADJACENCY, keys.DISTANCE_RANK):
+                frames["next", key] = frames[key]
         self.for_loss(frames)
         return frames
+
+    def side_loss(self, frames: TensorDictBase) -> Tensor | float:
+        """Return what is to be made small beside the temporal difference."""
+        return 0.0
 
     def state_dict(self) -> dict[str, Any]:
         """Return weights, target weights, Adam's moments and the target's counter."""

@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 from typing import ClassVar
 
+import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torch import Tensor
 from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
 
@@ -30,11 +32,19 @@ class Greedy(TensorDictModuleBase):
         plays: it acts in an env, so what the network carries is written into the next frame;
             otherwise it learns, from frames that hold what was carried.
         tells: it writes down what was said, too.
+        repeats: a frame that holds what was said is heard as it was then.
     """
 
-    def __init__(self, network: RobotsNetwork, n_agents: int, plays: bool, tells: bool) -> None:
+    def __init__(
+        self,
+        network: RobotsNetwork,
+        n_agents: int,
+        plays: bool,
+        tells: bool,
+        repeats: bool = False,
+    ) -> None:
         super().__init__()
-        self.network, self.tells, self.plays = network, tells, plays
+        self.network, self.tells, self.plays, self.repeats = network, tells, plays, repeats
         self.n_agents = n_agents
         self.in_keys = list(network.sees)
         self.out_keys = [keys.ACTION, keys.ACTION_VALUE, keys.CHOSEN_ACTION_VALUE]
@@ -45,10 +55,11 @@ class Greedy(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         entries = acting.entries(self.network, tensordict)
+        said = tensordict.get(keys.MESSAGE) if self.repeats else None
         if not self.plays and keys.IS_INIT in tensordict.keys():
-            value = self.network.unroll(tensordict.get(keys.IS_INIT), *entries)
+            value = self.network.unroll(tensordict.get(keys.IS_INIT), *entries, said=said)
         else:
-            value, talk, carried = self.network(*entries)
+            value, talk, carried = self.network(*entries, said=said)
             if self.plays:
                 acting.note_carried(tensordict, self.network.carries, carried)
             if self.tells:
@@ -71,7 +82,8 @@ class Iql(DeepQ):
         loss = Huber(Q(o_i, a_i) - y_i), mean over frames and robots
 
     Messages are made anew from the replayed observations and adjacency, so the gradient of one
-    robot's loss reaches the others along live edges. All else as in `DeepQ`.
+    robot's loss reaches the others along live edges; or, with `messages=replayed`, they are those
+    that were heard, and who sent them learns nothing from it. All else as in `DeepQ`.
     """
 
     network: QNetwork
@@ -107,12 +119,26 @@ class Iql(DeepQ):
         return acting.primer(network, self.n_agents) if network.carries else None
 
     def make_greedy(self, plays: bool, tells: bool) -> Greedy:
-        return Greedy(self.network, self.n_agents, plays, tells)
+        repeats = self.messages == "replayed" and not plays
+        return Greedy(self.network, self.n_agents, plays, tells, repeats)
 
     def exploration(self, action_spec: Composite) -> TensorDictSequential:
         """Return the epsilon-greedy policy; each robot draws for itself."""
-        greedy = self.make_greedy(plays=True, tells=False).eval()
+        tells = keys.MESSAGE in self.learns_from
+        greedy = self.make_greedy(plays=True, tells=tells).eval()
         return TensorDictSequential(greedy, self.coin(action_spec, keys.ACTION))
+
+    def side_loss(self, frames: TensorDictBase) -> Tensor | float:
+        """Return what the scheme's own loss comes to, such as the pull of dgn's attention."""
+        if not self.network.comm.pull:
+            return 0.0
+        graph = {key: frames[key] for key in (keys.ADJACENCY, keys.DISTANCE_RANK)}
+        now, then = frames, frames["next"].clone(recurse=False).update(graph)
+        attention = self.network(*acting.entries(self.network, now))[1].attention
+        with torch.no_grad():
+            later = self.network(*acting.entries(self.network, then))[1].attention
+        ratio = attention.clamp(min=1e-8).log() - later.clamp(min=1e-8).log()
+        return self.network.comm.pull * (attention * ratio).sum(-1).mean()
 
     def for_loss(self, frames: TensorDictBase) -> None:
         """Give every robot its endings and its steps."""

@@ -29,12 +29,15 @@ class Talk(NamedTuple):
         message: `[*B, n, sum of message_dims]`, what each sent, its rounds side by side.
         edges: `[*B, n, 1]`, over how many edges each sent, all rounds together.
         bits: `[*B, n, 1]`, what that cost.
+        attention: `[*B, head, n, n]`, how much each robot attended to each in the last round; None
+            of schemes that do not attend.
     """
 
     feature: Tensor
     message: Tensor
     edges: Tensor
     bits: Tensor
+    attention: Tensor | None = None
 
 
 class Comm(nn.Module, ABC):
@@ -56,6 +59,7 @@ class Comm(nn.Module, ABC):
             and what a robot knows crosses as many edges within one step.
         bits_per_number: what one costs.
         dilutes: what is heard is divided by how many other robots there are, in reach or not.
+        pull: weight of a loss that pulls attention towards that of the next frame.
         delay_steps: steps after which a message is heard, as part of the scheme.
         out_features: length of the features it gives.
     """
@@ -64,6 +68,7 @@ class Comm(nn.Module, ABC):
     out_features: int
     bits_per_number: int = BITS_PER_FLOAT
     dilutes: bool = False
+    pull: float = 0.0
     delay_steps: int = 0
 
     @property
@@ -106,6 +111,10 @@ class Comm(nn.Module, ABC):
         """Return the features that the last state comes to."""
         return state
 
+    def attention(self, state: Any) -> Float[Tensor, "*batch head agent other"] | None:
+        """Return how much each robot attended to each in the last round, where it does."""
+        return None
+
     def forward(
         self,
         feature: Float[Tensor, "*batch agent feature"],
@@ -128,7 +137,8 @@ class Comm(nn.Module, ABC):
             edges, bits = edges + reached, bits + price * self.numbers(turn) * reached
             heard, live = way(message, turn)
             state = self.listen(state, heard, live, distance_rank, turn)
-        return Talk(self.end(state), torch.cat(sent, dim=-1), edges, bits)
+        message = torch.cat(sent, dim=-1)
+        return Talk(self.end(state), message, edges, bits, self.attention(state))
 
 
 def outgoing(feature: Tensor, detach: bool) -> Tensor:
@@ -196,8 +206,8 @@ def attend(
     adjacency: Bool[Tensor, "*batch agent agent"],
     scale: float,
     own: Float[Tensor, "*batch agent key_and_value"] | None = None,
-) -> Float[Tensor, "*batch agent value"]:
-    """Return what each robot makes of its live neighbours' values by their keys.
+) -> tuple[Float[Tensor, "*batch agent value"], Float[Tensor, "*batch agent other"]]:
+    """Return what each robot makes of its live neighbours' values by their keys: c and a.
 
         a_ij = softmax over live j of scale q_i . k_j,    c_i = sum over j of a_ij v_j
 
@@ -212,4 +222,4 @@ def attend(
     width = query.shape[-1]
     score = scale * (query.unsqueeze(-2) * heard[..., :width]).sum(-1)
     weight = masked_softmax(score, adjacency)
-    return (weight.unsqueeze(-1) * heard[..., width:]).sum(-2)
+    return (weight.unsqueeze(-1) * heard[..., width:]).sum(-2), weight

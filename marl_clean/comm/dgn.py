@@ -5,7 +5,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from marl_clean.comm.base import Comm, Width, attend, dense, outgoing
-from marl_clean.settings import PositiveInt
+from marl_clean.settings import NonNegativeFloat, PositiveInt
+
+State = tuple[list[Tensor], Tensor | None]  # features of all rounds so far, the last attention
 
 
 class Dgn(Comm):
@@ -19,7 +21,11 @@ class Dgn(Comm):
     A robot sends its features h, and who hears them makes keys and values of them; each round
     has weights of its own.
 
-    Source: arXiv 1810.09202, without its pull of attention towards the next step's.
+    With `pull`, a loss holds each robot's attention in the last round to what it will be: the
+    learner adds pull x KL(a || a'), mean over heads and robots, a' of the next frame's observations
+    over this frame's graph, and constant. A learner with n-step windows looks n steps ahead.
+
+    Source: arXiv 1810.09202, where the pull is called temporal relation regularisation.
 
     Args:
         in_features: length of the encoder's features.
@@ -28,6 +34,7 @@ class Dgn(Comm):
         head_dim: length d of a head's query, key and value.
         rounds: messages a step; each is paid for.
         detach: a receiver's loss does not reach the sender's features.
+        pull: weight of the loss that pulls attention towards the next frame's; 0: none.
     """
 
     def __init__(
@@ -38,9 +45,10 @@ class Dgn(Comm):
         head_dim: PositiveInt,
         rounds: PositiveInt,
         detach: bool,
+        pull: NonNegativeFloat,
     ) -> None:
         super().__init__()
-        self.heads, self.detach = heads, detach
+        self.heads, self.detach, self.pull = heads, detach, pull
         self.scale = head_dim**-0.5
         widths, joined = [in_features] + [hidden] * (rounds - 1), heads * head_dim
         self.query = nn.ModuleList(nn.Linear(width, joined) for width in widths)
@@ -48,33 +56,38 @@ class Dgn(Comm):
         self.join = nn.ModuleList(dense(joined, hidden) for _ in widths)
         self.message_dims, self.out_features = widths, in_features + rounds * hidden
 
-    def begin(self, feature: Float[Tensor, "*batch agent feature"]) -> list[Tensor]:
-        return [feature]
+    def begin(self, feature: Float[Tensor, "*batch agent feature"]) -> State:
+        return [feature], None
 
-    def speak(self, state: list[Tensor], turn: int) -> Float[Tensor, "*batch agent message"]:
-        return outgoing(state[-1], self.detach)
+    def speak(self, state: State, turn: int) -> Float[Tensor, "*batch agent message"]:
+        return outgoing(state[0][-1], self.detach)
 
     def listen(
         self,
-        state: list[Tensor],
+        state: State,
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
         distance_rank: Int[Tensor, "*batch agent other"],
         turn: int,
-    ) -> list[Tensor]:
+    ) -> State:
+        (*before, last), _ = state
         query, key_and_value = self.query[turn], self.key_and_value[turn]
         every_head = live.unsqueeze(-3).expand(*live.shape[:-2], self.heads, *live.shape[-2:])
-        summed = attend(
-            self.by_head(query(state[-1])),
+        summed, attention = attend(
+            self.by_head(query(last)),
             self.by_head(key_and_value(heard)),
             every_head,
             self.scale,
-            own=self.by_head(key_and_value(state[-1])),
+            own=self.by_head(key_and_value(last)),
         )
-        return [*state, self.join[turn](summed.transpose(-2, -3).flatten(-2))]
+        new = self.join[turn](summed.transpose(-2, -3).flatten(-2))
+        return [*before, last, new], attention
 
-    def end(self, state: list[Tensor]) -> Float[Tensor, "*batch agent joined"]:
-        return torch.cat(state, dim=-1)
+    def end(self, state: State) -> Float[Tensor, "*batch agent joined"]:
+        return torch.cat(state[0], dim=-1)
+
+    def attention(self, state: State) -> Float[Tensor, "*batch head agent other"] | None:
+        return state[1]
 
     def by_head(
         self, value: Float[Tensor, "*batch agent joined"]

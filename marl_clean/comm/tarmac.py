@@ -59,5 +59,5 @@ class TarMac(Comm):
         turn: int,
     ) -> Float[Tensor, "*batch agent feature"]:
         own = self.message(state) if self.self_included else None
-        sum_of_values = attend(self.query(state), heard, live, self.scale, own)
+        sum_of_values, _ = attend(self.query(state), heard, live, self.scale, own)
         return self.join(torch.cat([state, sum_of_values], dim=-1)).tanh()

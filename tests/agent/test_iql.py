@@ -184,3 +184,64 @@ def test_a_state_is_tensors_and_plain_numbers():
 def test_greedy_policy_takes_any_number_of_robots():
     policy = make_agent().policy()
     assert policy(transitions(3, n_agents=8).exclude("next"))[keys.ACTION].shape == (3, 8)
+
+
+def all_in_contact(count: int):
+    batch = transitions(count)
+    both = (~torch.eye(2, dtype=torch.bool)).expand(count, 2, 2).clone()
+    batch[keys.ADJACENCY], batch["next", keys.ADJACENCY] = both, both.clone()
+    return batch
+
+
+def test_replayed_messages_are_heard_as_sent_and_teach_the_sender_nothing():
+    agent, batch = make_agent("plan", messages="replayed"), all_in_contact(4)
+    assert keys.MESSAGE in agent.learns_from
+    batch[keys.MESSAGE] = torch.randn(4, 2, 32)
+    expected = agent.network(*(batch[key] for key in agent.sees), said=batch[keys.MESSAGE])[0]
+    learnt = agent._greedy(batch.clone())
+    torch.testing.assert_close(learnt[keys.ACTION_VALUE], expected)
+    assert not torch.equal(expected, agent.network(*(batch[key] for key in agent.sees))[0])
+    agent.update(batch)
+    weights = dict(agent.network.named_parameters())
+    message = [weight for name, weight in weights.items() if "comm.message" in name]
+    assert all(weight.grad is None or not weight.grad.any() for weight in message)
+    assert weights["comm.received.0.weight"].grad.any()
+
+
+def test_replayed_messages_as_they_were_sent_now_give_the_same_values():
+    agent, batch = make_agent("commnet", messages="replayed"), all_in_contact(4)
+    seen = [batch[key] for key in agent.sees]
+    value, talk, _ = agent.network(*seen)
+    torch.testing.assert_close(agent.network(*seen, said=talk.message)[0], value)
+
+
+def test_the_next_graph_may_be_reused():
+    batch = all_in_contact(6)
+    batch["next", keys.ADJACENCY] = torch.zeros(6, 2, 2, dtype=torch.bool)
+    own, reused = make_agent("plan"), make_agent("plan", next_graph="reused")
+    other = batch.clone()
+    other["next", keys.ADJACENCY] = batch[keys.ADJACENCY].clone()
+    expected = make_agent("plan").update(other)["loss"]
+    assert torch.equal(reused.update(batch)["loss"], expected)
+    assert not torch.equal(own.update(batch)["loss"], expected)
+
+
+def test_attention_is_pulled_towards_that_of_the_next_frame():
+    batch = all_in_contact(6)
+    plain, pulled = make_agent("dgn"), make_agent("dgn")
+    pulled.network.comm.pull = 0.5
+    extra = pulled.side_loss(batch)
+    now, later = (
+        pulled.network(*(frames[key] for key in pulled.sees))[1].attention
+        for frames in (batch, batch["next"])
+    )
+    assert now.shape == (6, 2, 2, 2)  # frames, heads, robots, robots
+    divergence = (now * (now / later).log()).sum(-1).mean()
+    torch.testing.assert_close(extra, 0.5 * divergence)
+    same = batch.clone()
+    same["next", keys.OBSERVATION] = batch[keys.OBSERVATION].clone()
+    assert pulled.side_loss(same).item() == pytest.approx(0.0, abs=1e-6)
+    (grad,) = torch.autograd.grad(extra, pulled.network.comm.query[1].weight)
+    assert grad.any()
+    loss = plain.update(batch.clone())["loss"]
+    torch.testing.assert_close(pulled.update(batch)["loss"], loss + extra)

@@ -25,7 +25,7 @@ def test_dueling_values_average_to_the_state_value():
 
 @pytest.mark.parametrize("dueling", [True, False])
 def test_a_value_for_every_robot_and_action(dueling):
-    value, (_, message, edges, bits), carried = network(dueling)(*frames(3, n_agents=5))
+    value, (_, message, edges, bits, _), carried = network(dueling)(*frames(3, n_agents=5))
     assert value.shape == (3, 5, 4)
     assert message.shape == (3, 5, 32)
     assert edges.shape == bits.shape == (3, 5, 1)

@@ -73,7 +73,7 @@ def gated(comm: Comm) -> bool:
 def shapes(comm: Comm) -> None:
     for batch in ((), (1,), (5,), (2, 3)):
         for n_agents in (1, 2, 5):
-            feature, message, edges, bits = comm(*draw(*batch, n_agents=n_agents))
+            feature, message, edges, bits = comm(*draw(*batch, n_agents=n_agents))[:4]
             assert feature.shape == (*batch, n_agents, comm.out_features)
             assert message.shape[:-1] == (*batch, n_agents)
             assert message.shape[-1] == sum(comm.message_dims[: comm.rounds])
@@ -85,7 +85,7 @@ def relabelling_the_robots_relabels_the_result(comm: Comm) -> None:
         feature, live, rank = draw(4, n_agents=n_agents)
         order = torch.randperm(n_agents, generator=torch.Generator().manual_seed(1))
         relabelled = comm(feature[:, order], live[:, order][..., order], rank[:, order][..., order])
-        for mine, theirs in zip(comm(feature, live, rank), relabelled, strict=True):
+        for mine, theirs in zip(comm(feature, live, rank)[:4], relabelled[:4], strict=True):
             torch.testing.assert_close(mine[:, order], theirs)
 
 
@@ -157,13 +157,13 @@ def a_batch_is_its_worlds_one_by_one(comm: Comm) -> None:
     inputs = draw(5, n_agents=3)
     together = comm(*inputs)
     for world in range(5):
-        for mine, theirs in zip(together, comm(*(x[world] for x in inputs)), strict=True):
+        for mine, theirs in zip(together[:4], comm(*(x[world] for x in inputs))[:4], strict=True):
             torch.testing.assert_close(mine[world], theirs)
 
 
 def bits_are_those_of_the_numbers_sent(comm: Comm) -> None:
     feature, live, rank = draw(4, n_agents=5)
-    _, message, edges, bits = comm(feature, live, rank)
+    _, message, edges, bits = comm(feature, live, rank)[:4]
     numbers = getattr(comm, "observed", message.shape[-1])
     neighbours = live.sum(-1, keepdim=True).to(bits.dtype)
     if gated(comm):
@@ -189,7 +189,7 @@ def robots_out_of_reach_may_be_added_anywhere(comm: Comm) -> None:
     kept = torch.tensor([0, 1, 3, 4])
     fewer = rank[:, kept][..., kept].argsort(-1).argsort(-1)
     result = comm(feature[:, kept], live[:, kept][..., kept], fewer)
-    for mine, theirs in zip(comm(feature, live, rank), result, strict=True):
+    for mine, theirs in zip(comm(feature, live, rank)[:4], result[:4], strict=True):
         torch.testing.assert_close(mine[:, kept], theirs)
 
 

@@ -78,7 +78,7 @@ def weigh(query: Vector, keys: Rows, values: Rows) -> Vector:
 def agrees(comm: Comm, expected: Rows, numbers: int) -> None:
     """A scheme gives these features, and each robot pays for this many floats an edge."""
     feature = torch.tensor(FEATURE, dtype=torch.float64)
-    joined, _, _, bits = comm.double()(feature, LIVE, RANK)
+    joined, _, _, bits, _ = comm.double()(feature, LIVE, RANK)
     torch.testing.assert_close(joined, torch.tensor(expected, dtype=torch.float64))
     paid: Tensor = torch.tensor([[2.0], [1.0], [1.0], [0.0]], dtype=torch.float64)
     assert torch.equal(bits, 32 * numbers * paid)
@@ -162,7 +162,7 @@ def tarmac(self_included: bool = False, rounds: int = 2, kind: type[TarMac] = Ta
 
 def dgn(heads: int, kind: type[Dgn] = Dgn) -> None:
     """Two rounds; with two heads each has one number."""
-    comm = kind(2, hidden=2, heads=heads, head_dim=2 // heads, rounds=2, detach=False)
+    comm = kind(2, hidden=2, heads=heads, head_dim=2 // heads, rounds=2, detach=False, pull=0.0)
     query, key, value, join = (A, B), (B, C), (C, A), (WIDE[0][:2], WIDE[1][:2])
     for i in (0, 1):
         by_head = [
@@ -212,7 +212,7 @@ def ic3net(rounds: int = 1, kind: type[Ic3Net] = Ic3Net) -> None:
         ]
     assert speaks == [True, False, True, True]
     feature = torch.tensor(FEATURE, dtype=torch.float64)
-    joined, _, edges, bits = comm.double()(feature, LIVE, RANK)
+    joined, _, edges, bits, _ = comm.double()(feature, LIVE, RANK)
     torch.testing.assert_close(joined, torch.tensor(hidden, dtype=torch.float64))
     sent = [rounds * len(others) * speaks[i] for i, others in enumerate(HEARS)]
     assert edges.flatten().tolist() == sent
@@ -235,7 +235,7 @@ def dial() -> None:
     received = [relu(times(B, m, SHIFT)) for m in bits]
     expected = [joined(relu(times(B, h)), received, i, "sum") for i, h in robots()]
     feature = torch.tensor(FEATURE, dtype=torch.float64)
-    result, said, _, cost = comm.double()(feature, LIVE, RANK)
+    result, said, _, cost, _ = comm.double()(feature, LIVE, RANK)
     torch.testing.assert_close(result, torch.tensor(expected, dtype=torch.float64))
     assert said.tolist() == bits
     assert cost.flatten().tolist() == [4.0, 2.0, 2.0, 0.0]

@@ -84,7 +84,7 @@ SETTINGS = {
         "self_included": False,
         "detach": False,
     },
-    Dgn: {"hidden": 8, "heads": 2, "head_dim": 4, "rounds": 2, "detach": False},
+    Dgn: {"hidden": 8, "heads": 2, "head_dim": 4, "rounds": 2, "detach": False, "pull": 0.0},
     Plan: {
         "message_dim": 8,
         "hidden": 8,

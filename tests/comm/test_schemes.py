@@ -73,7 +73,7 @@ def test_every_weight_gets_a_gradient(level: str) -> None:
 def test_detached_messages_change_gradients_only(level: str) -> None:
     inputs = draw(4, n_agents=4)
     attached, detached = make(level), make(level, detach=True)
-    for mine, theirs in zip(attached(*inputs), detached(*inputs), strict=True):
+    for mine, theirs in zip(attached(*inputs)[:4], detached(*inputs)[:4], strict=True):
         assert torch.equal(mine, theirs)
     detached.train()(*inputs)[0].sum().backward()
     assert all(weight.grad is not None for weight in detached.parameters())
