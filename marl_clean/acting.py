@@ -26,7 +26,8 @@ def entries(network: RobotsNetwork, frame: TensorDictBase) -> list[Tensor]:
 
 def primer(network: RobotsNetwork, n_agents: int) -> TensorDictPrimer:
     """Return TorchRL's transform that lets the episodes of an env begin with nothing carried."""
-    specs = Composite(network.state_specs(n_agents))
+    specs = Composite({keys.AGENTS: Composite(shape=(n_agents,))})
+    specs.update(network.state_specs(n_agents))
     return TensorDictPrimer(specs, default_value=0.0, expand_specs=True)
 
 

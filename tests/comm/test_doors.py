@@ -1,0 +1,66 @@
+"""The probe: schemes that talk open the right door, silent ones guess."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from marl_clean.channel.delayed import Delayed
+from marl_clean.logger.csv import Csv
+from marl_clean.trainer.off_policy import OffPolicy
+from tests.agent.parts import make_agent
+from tests.comm.contract import LEVELS, make
+from tests.comm.doors import doors_for, share_right
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+FRAMES = 8_192
+SILENT = ["none", "zeroed"]
+TALKING = [level for level, _ in LEVELS if level not in SILENT]
+
+
+def right_after_training(folder: Path, comm: str, hold: int, **changes) -> float:
+    settings = {"gamma": 0.0, "lr": 2e-3, "lr_end": 2e-3, "n_steps": 1, "annealing_fraction": 0.6}
+    agent = make_agent(comm, **settings, **changes)
+    trainer = OffPolicy(
+        total_frames=FRAMES,
+        frames_per_batch=96,
+        buffer_frames=5_000,
+        batch_frames=64,
+        replay_ratio=4.0,
+        start_frames=300,
+        log_interval_frames=FRAMES,
+        eval_interval_frames=FRAMES,
+        checkpoint_interval_frames=FRAMES,
+        select_by="return",
+        window_frames=4,
+    )
+    torch.manual_seed(0)
+    guess = {"return": 0.0}
+    trainer.train(doors_for(agent, hold), agent, lambda policy: guess, [Csv(folder)], folder)
+    return share_right(agent, hold)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("comm", TALKING)
+def test_who_talks_opens_the_right_door(tmp_path, comm):
+    hold = 1 + make(comm).delay_steps
+    assert right_after_training(tmp_path, comm, hold) > 0.95
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hold", [1, 2])
+@pytest.mark.parametrize("comm", SILENT)
+def test_who_is_silent_guesses(tmp_path, comm, hold):
+    assert 0.4 <= right_after_training(tmp_path, comm, hold) <= 0.6
+
+
+@pytest.mark.slow
+def test_a_message_that_comes_a_step_late_helps_only_if_the_door_waits(tmp_path):
+    late = {"steps": 1, "random": False, "message_dims": make("commnet", hidden=24).message_dims}
+    for hold, right in ((1, False), (2, True)):
+        folder = tmp_path / str(hold)
+        folder.mkdir()
+        channels = {"delayed": Delayed(**late)}
+        share = right_after_training(folder, "commnet", hold, channels=channels)
+        assert (share > 0.95) is right
