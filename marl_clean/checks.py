@@ -9,7 +9,7 @@ from marl_clean.compose import plays_houses
 from marl_clean.errors import BadInput
 from marl_clean.house.base import check_largest, draw_houses, split_seeds
 from marl_clean.house.floorplan import FloorPlan
-from marl_clean.schema import instantiate
+from marl_clean.schema import constant, instantiate
 from marl_clean.stored import find_run, load_config
 
 
@@ -43,6 +43,23 @@ def check_plans(config: DictConfig) -> None:
             _check_sees(config, *houses.free.shape[1:])
         except BadInput as error:
             raise BadInput(f"evaluation.plans: {error}") from None
+
+
+def check_teams(config: DictConfig) -> None:
+    """Raises BadInput for a size of `evaluation.team_sizes` that the learner cannot have, or for
+    which the houses have no room."""
+    for size in config.evaluation.get("team_sizes", []):
+        if "env.n_agents" in (constant(config.agent._target_, "sized_by") or []):
+            level = config.agent._target_.split(".")[2]
+            raise BadInput(
+                f"evaluation.team_sizes: agent={level} is of env.n_agents robots; valid: []"
+            )
+        team = config.copy()
+        team.env.n_agents = size
+        try:
+            check_house(team)
+        except BadInput as error:
+            raise BadInput(f"evaluation.team_sizes: {size}: {error}") from None
 
 
 def _check_sees(config: DictConfig, rows: int, cols: int) -> None:

@@ -29,13 +29,14 @@ def train(arguments: argparse.Namespace) -> int:
 
         sweep.run(arguments.settings)
         return 0
-    from marl_clean.checks import check_old_houses, check_plans
+    from marl_clean.checks import check_old_houses, check_plans, check_teams
     from marl_clean.fitting import check_fit
     from marl_clean.stored import RUNS, check_same_run, compose_for_training
 
     config = _checked(compose_for_training(arguments.settings))
     check_fit(config)
     check_plans(config)
+    check_teams(config)
     check_old_houses(config)
     check_same_run(config, RUNS / config.name)
     from marl_clean import train as command

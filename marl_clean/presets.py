@@ -18,6 +18,7 @@ def read_preset(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     Presets that it builds on come first, as in Hydra; they are of its own folder.
     """
     values = load_yaml(path)
+    values.pop("hydra", None)  # how it is swept
     levels: dict[str, Any] = {}
     sets: list[dict[str, Any]] = []
     for entry in values.pop("defaults", []):
@@ -28,3 +29,17 @@ def read_preset(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         else:
             levels |= {key.removeprefix(OVERRIDE): level for key, level in entry.items()}
     return levels, [*sets, values]
+
+
+def sweep_of(path: Path) -> dict[str, str]:
+    """The values that a preset sweeps its keys over: its `hydra.sweeper.params`, in Hydra's words.
+
+    Those of presets that it builds on count too, where it says nothing else.
+    """
+    values = load_yaml(path)
+    swept: dict[str, str] = {}
+    for entry in values.get("defaults", []):
+        if isinstance(entry, str):
+            swept |= sweep_of(path.with_name(f"{entry}.yaml"))
+    own = values.get("hydra", {}).get("sweeper", {}).get("params", {})
+    return swept | {key: str(value) for key, value in own.items()}

@@ -168,6 +168,7 @@ class LaterEvaluation(TypedDict, total=False):
     """Keys of `evaluation` that the configs of earlier runs lack."""
 
     optimum: bool
+    team_sizes: list[PositiveInt]
 
 
 class Evaluation(LaterEvaluation):

@@ -11,10 +11,17 @@ from hydra.core.plugins import Plugins
 from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig
 
-from marl_clean.checks import check_device, check_house, check_old_houses, check_plans
-from marl_clean.compose import config_hash, own_hydra, parse_overrides
+from marl_clean.checks import (
+    check_device,
+    check_house,
+    check_old_houses,
+    check_plans,
+    check_teams,
+)
+from marl_clean.compose import EXPERIMENT, conf_folder, config_hash, own_hydra, parse_overrides
 from marl_clean.errors import BadInput
 from marl_clean.fitting import check_fit
+from marl_clean.presets import sweep_of
 from marl_clean.stored import RUNS, check_same_run, compose_for_training
 
 
@@ -46,17 +53,30 @@ def named_jobs(parsed: Sequence[Override]) -> list[list[str]]:
     name becomes the folder of the whole sweep. Raises BadInput when a job's config is wrong.
     """
     jobs = {}
-    for job in sweep_jobs(parsed):
+    for job in sweep_jobs([*of_preset(parsed), *parsed]):
         config = compose_for_training(job)
         if any(setting.startswith("name=") for setting in job):
             config.name = f"{config.name}/{config_hash(config)[:8]}"
         check_house(config)
         check_fit(config)
         check_plans(config)
+        check_teams(config)
         check_old_houses(config)
         check_same_run(config, RUNS / config.name)
         jobs[config.name] = [*job, f"name={config.name}"]
     return list(jobs.values())
+
+
+def of_preset(parsed: Sequence[Override]) -> list[Override]:
+    """What the chosen preset sweeps, but for keys that the settings give values of their own."""
+    given = {override.get_key_element() for override in parsed}
+    chosen = [
+        o.value() for o in parsed if o.key_or_group == EXPERIMENT and not o.is_sweep_override()
+    ]
+    if not chosen or chosen[-1] is None:
+        return []
+    swept = sweep_of(conf_folder() / EXPERIMENT / f"{chosen[-1]}.yaml")
+    return parse_overrides([f"{key}={value}" for key, value in swept.items() if key not in given])
 
 
 def sweep_jobs(parsed: Sequence[Override]) -> list[list[str]]:

@@ -48,8 +48,8 @@ def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[
         entries = measure_all(cfg, folder)
         write_entries(folder / MEASURED, entries)
     draw(cfg, folder)
-    for house_set in dict.fromkeys(entry["house_set"] for entry in entries):
-        console.print(make_table([e for e in entries if e["house_set"] == house_set]))
+    for one in dict.fromkeys((entry["house_set"], entry["n_agents"]) for entry in entries):
+        console.print(make_table([e for e in entries if (e["house_set"], e["n_agents"]) == one]))
     console.print(f"in {folder}: {', '.join(sorted(f.name for f in folder.iterdir()))}")
     return entries
 
@@ -114,7 +114,8 @@ def _as_ever(policy: nn.Module, env: TransformedEnv) -> nn.Module:
 
 
 def places(cfg: DictConfig) -> list[tuple[DictConfig, str | None]]:
-    """Return `cfg` in its own houses, in those of the run it started from, and in each plan.
+    """Return `cfg` in its own houses, in those of the run it started from, in each plan, and with
+    each size of team in its own houses.
 
     Each is there once. Beside it is what its set of houses is called, where `test` would mean two.
     """
@@ -127,8 +128,9 @@ def places(cfg: DictConfig) -> list[tuple[DictConfig, str | None]]:
         generated = instantiate(cfg.house).generated and instantiate(old.house).generated
         found.append((old, f"test of {stored['name']}" if generated else None))
     found += [(on_plan(cfg, plan), None) for plan in cfg.evaluation.plans]
-    houses = [place.house for place, _ in found]
-    return [each for index, each in enumerate(found) if each[0].house not in houses[:index]]
+    found += [(of_team(cfg, size), None) for size in cfg.evaluation.get("team_sizes", [])]
+    seen = [(place.house, place.env.n_agents) for place, _ in found]
+    return [each for index, each in enumerate(found) if seen[index] not in seen[:index]]
 
 
 def on_plan(cfg: DictConfig, plan: str) -> DictConfig:
@@ -137,6 +139,13 @@ def on_plan(cfg: DictConfig, plan: str) -> DictConfig:
     there.house = compose_config(["house=floorplan", "house.path=apartment"]).house
     there.house.path = plan
     return there
+
+
+def of_team(cfg: DictConfig, size: int) -> DictConfig:
+    """Return the same config with another number of robots."""
+    team = cfg.copy()
+    team.env.n_agents = size
+    return team
 
 
 def draw(cfg: DictConfig, folder: Path) -> None:

@@ -88,7 +88,8 @@ def test_a_preset_trains_and_measures(
     assert {entry["policy"] for entry in entries} >= {"random", "nearest_unknown"}
     for entry in entries:
         assert (entry["schema"], entry["world"]) == (SCHEMA, WORLD)
-        assert entry["n_agents"] == config["env"]["n_agents"]
+        sizes = [config["env"]["n_agents"], *config["evaluation"]["team_sizes"]]
+        assert entry["n_agents"] in sizes
         assert len(entry["houses"]) == 2
         assert all(set(house) <= ALLOWED for house in entry["houses"])
         assert set(entry["summary"]) <= set(MEASURES)
