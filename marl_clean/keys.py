@@ -18,7 +18,7 @@ JOINT_ACTION = "joint_action"  # *B int64, base 4, robot 0 the lowest digit
 JOINT_ACTION_VALUE = "joint_action_value"  # *B 4^n float32
 CHOSEN_JOINT_ACTION_VALUE = "chosen_joint_action_value"  # *B 1 float32
 MESSAGE = (AGENTS, "message")  # *B n M float32: what each robot sent
-MESSAGE_EDGES = (AGENTS, "message_edges")  # *B n 1 float32: over how many edges, all rounds
+MESSAGE_EDGES = (AGENTS, "message_edges")  # *B n K float32: over how many edges, each round
 MESSAGE_BITS = (AGENTS, "message_bits")  # *B n 1 float32: what sending it cost
 
 CHANNEL_SEED = (AGENTS, "channel_seed")  # *B n int64 in [0, 2^32): for what a channel draws

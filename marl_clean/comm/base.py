@@ -27,7 +27,7 @@ class Talk(NamedTuple):
     Attributes:
         feature: `[*B, n, out_features]`, what the robots know now.
         message: `[*B, n, sum of message_dims]`, what each sent, its rounds side by side.
-        edges: `[*B, n, 1]`, over how many edges each sent, all rounds together.
+        edges: `[*B, n, rounds]`, over how many edges each sent in each round.
         bits: `[*B, n, 1]`, what that cost.
         attention: `[*B, head, n, n]`, how much each robot attended to each in the last round; None
             of schemes that do not attend.
@@ -127,18 +127,19 @@ class Comm(nn.Module, ABC):
         price = way.bits_per_number or self.bits_per_number
         state, sent = self.begin(feature), [feature[..., :0]]
         receivers = way.sent.sum(-2).unsqueeze(-1).to(feature.dtype)
-        edges = bits = torch.zeros_like(receivers)
+        edges, bits = [receivers[..., :0]], torch.zeros_like(receivers)
         for turn in range(self.rounds):
             message, gate = self.speak(state, turn), self.gate(state, turn)
             reached = receivers
             if gate is not None:
                 message, reached = gate * message, gate.detach() * receivers
             sent.append(message)
-            edges, bits = edges + reached, bits + price * self.numbers(turn) * reached
+            edges.append(reached)
+            bits = bits + price * self.numbers(turn) * reached
             heard, live = way(message, turn)
             state = self.listen(state, heard, live, distance_rank, turn)
-        message = torch.cat(sent, dim=-1)
-        return Talk(self.end(state), message, edges, bits, self.attention(state))
+        message, reached = torch.cat(sent, dim=-1), torch.cat(edges, dim=-1)
+        return Talk(self.end(state), message, reached, bits, self.attention(state))
 
 
 def outgoing(feature: Tensor, detach: bool) -> Tensor:

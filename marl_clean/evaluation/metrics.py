@@ -16,7 +16,7 @@ from torch import Tensor
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.evaluation import bounds
 from marl_clean.evaluation.optimum import MOST_CELLS, optimal_T_100
-from marl_clean.keys import ADJACENCY, DONE, MESSAGE_BITS, OWN_REWARD
+from marl_clean.keys import ADJACENCY, DONE, MESSAGE_BITS, MESSAGE_EDGES, OWN_REWARD
 from marl_clean.settings import Knowledge, Sensor
 from marl_clean.world.distance import neighbours
 from marl_clean.world.rules import Rules
@@ -59,7 +59,7 @@ class Recorder:
         self.num_visited = state.num_visited.clone()
         self.sum_visited = state.num_visited.clone()  # over the steps so far
         self.steps = zeros()
-        self.counts = {name: zeros() for name in ("bumps", "collisions", *RATES)}
+        self.counts = {name: zeros() for name in COUNTED}
         self.total_reward = zeros(dtype=torch.float64)
         self.reached = {percent: zeros() + NEVER for percent in PERCENTS}
         self.certified_at = zeros() + NEVER
@@ -121,12 +121,11 @@ class Recorder:
             "bumps": self.counts["bumps"].tolist(),
             "collisions": self.counts["collisions"].tolist(),
         }
-        steps = self.steps.tolist()
         for name in RATES:
-            counts = self.counts[name].tolist()
-            columns[name] = [
-                count / taken if taken else None for count, taken in zip(counts, steps, strict=True)
-            ]
+            columns[name] = shares(self.counts[name], self.steps)
+        for name in COSTS:
+            columns[f"{name}_per_cell"] = shares(self.counts[name], self.num_visited)
+        columns["gate"] = shares(self.counts["spoken"], self.counts["speakable"])
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     def _times(self) -> dict[str, list[int | float | None]]:
@@ -165,27 +164,45 @@ class Recorder:
         }
 
 
-RATES = ("contact", "messages", "edges", "bits")  # counted, and told per step
+COSTS = ("messages", "edges", "bits", "rounds")  # told per step, and per cell cleaned
+RATES = ("contact", *COSTS)  # counted, and told per step
+COUNTED = ("bumps", "collisions", *RATES, "spoken", "speakable")
 
 
 def step_counts(state: State, step: TensorDictBase) -> dict[str, Int[Tensor, " env"]]:
     """What is counted each step: bumps, collisions, and what went between the robots.
 
     An edge is a pair in contact when the actions were chosen; a message is what one robot sends
-    along one of its edges, so a step has two messages an edge, or none under a silent policy.
+    along one of its edges in one round, so a step has two messages an edge and round, fewer where
+    a robot chooses or has to be silent, and none under a silent policy. A round counts where
+    anybody sent. The gate's rate is the share of robots in contact that were written to in the
+    first round, of a policy that sends at all.
     """
     adjacency = step[ADJACENCY]
     degree = adjacency.sum(2)
-    bits = step.get(MESSAGE_BITS, None)  # only policies that communicate write it
-    sent = torch.zeros_like(degree) if bits is None else bits[..., 0].round().to(torch.int64)
+    bits = step.get(MESSAGE_BITS, None)  # only policies that communicate write these
+    reached = step.get(MESSAGE_EDGES, None)
+    cost = torch.zeros_like(degree) if bits is None else bits[..., 0].round().to(torch.int64)
+    if reached is None:  # one round to all in contact, where it costs anything
+        reached = torch.where(cost > 0, degree, 0).unsqueeze(-1)
+    reached = reached.round().to(torch.int64).sum(1)  # over the senders
+    sends = bits is not None and reached.shape[-1] > 0
     return {
         "bumps": state.bumped.sum(1),
         "collisions": state.collided.sum(1),
         "contact": adjacency.flatten(1).any(1).to(torch.int64),
-        "messages": torch.where(sent > 0, degree, 0).sum(1),
+        "messages": reached.sum(1),
         "edges": degree.sum(1) // 2,
-        "bits": sent.sum(1),
+        "bits": cost.sum(1),
+        "rounds": (reached > 0).sum(1),
+        "spoken": reached[:, 0] if sends else torch.zeros_like(degree[:, 0]),
+        "speakable": degree.sum(1) if sends else torch.zeros_like(degree[:, 0]),
     }
+
+
+def shares(counts: Int[Tensor, " env"], of: Int[Tensor, " env"]) -> list[float | None]:
+    """Each count as a share of another; null where that is 0."""
+    return [a / b if b else None for a, b in zip(counts.tolist(), of.tolist(), strict=True)]
 
 
 def certified(state: State, entered: Bool[Tensor, "env agent cell"]) -> Bool[Tensor, " env"]:

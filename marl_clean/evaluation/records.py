@@ -28,7 +28,8 @@ MEASURES = (
     *(f"T_{name}" for name in TIMES),
     *(f"ratio_{name}" for name in TIMES),
     *("coverage", "coverage_auc", "return", "redundancy", "overlap", "balance"),
-    *("bumps", "collisions", "contact", "messages", "edges", "bits"),
+    *("bumps", "collisions", "contact", "messages", "edges", "bits", "rounds"),
+    *("messages_per_cell", "edges_per_cell", "bits_per_cell", "rounds_per_cell", "gate"),
     *("optimum_100", "gap_100"),
 )
 
@@ -64,8 +65,8 @@ def summarise(runs: Sequence[Sequence[House]]) -> dict[str, dict[str, Any]]:
     """
     summary = {}
     for measure in MEASURES:
-        if measure not in runs[0][0]:
-            continue  # T_certify and the optimum are measured on demand
+        if any(measure not in run[0] for run in runs):
+            continue  # T_certify and the optimum are measured on demand, others came later
         values = sample(runs, measure)
         found = estimate(values)
         summary[measure] = {

@@ -77,7 +77,8 @@ def shapes(comm: Comm) -> None:
             assert feature.shape == (*batch, n_agents, comm.out_features)
             assert message.shape[:-1] == (*batch, n_agents)
             assert message.shape[-1] == sum(comm.message_dims[: comm.rounds])
-            assert edges.shape == bits.shape == (*batch, n_agents, 1)
+            assert edges.shape == (*batch, n_agents, comm.rounds)
+            assert bits.shape == (*batch, n_agents, 1)
 
 
 def relabelling_the_robots_relabels_the_result(comm: Comm) -> None:
@@ -169,7 +170,7 @@ def bits_are_those_of_the_numbers_sent(comm: Comm) -> None:
     if gated(comm):
         neighbours = neighbours * message.ne(0).any(-1, keepdim=True)
         assert 0 < neighbours.sum() < live.sum()  # some speak
-    assert torch.equal(edges, comm.rounds * neighbours)
+    assert torch.equal(edges, neighbours.expand(edges.shape))
     assert torch.equal(bits, comm.bits_per_number * numbers * neighbours)
 
 

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.evaluation.metrics import Recorder
 from marl_clean.house.base import Houses
-from marl_clean.keys import ACTION, ADJACENCY, MESSAGE_BITS
+from marl_clean.keys import ACTION, ADJACENCY, MESSAGE_BITS, MESSAGE_EDGES
 from marl_clean.settings import HouseOrder, Memory
 from marl_clean.world.sensing import in_view
 from tests import reference
@@ -117,8 +117,36 @@ def test_a_corridor_by_hand():
     # Before steps 2 and 4 they stand three cells apart, each inside the other's view.
     assert record["contact"] == 0.5 and record["edges"] == 0.5
     assert record["messages"] == 1.0 and record["bits"] == 32.0
+    assert record["rounds"] == 0.5 and record["gate"] == 1.0
+    assert record["messages_per_cell"] == 4 / 5 and record["bits_per_cell"] == 128 / 5
+    assert record["edges_per_cell"] == record["rounds_per_cell"] == 2 / 5
     # New floor pays 3.4, a new wall 1, and a step back into what is clean -1.
     assert record["return"] == pytest.approx((3.4 - 1 - 1 + 3.4) + (1 + 1 + 1 + 3.4), abs=1e-4)
+
+
+def test_rounds_and_gates_are_counted_as_the_policy_tells_them():
+    env = env_of(houses_of("....", starts=[[(0, 0), (0, 1), (0, 2)]]), n_agents=3, max_steps=2)
+    td = TensorDict(batch_size=env.batch_size)
+    env.reset()
+    recorder = Recorder(env)
+    td[ADJACENCY] = torch.tensor(
+        [[[False, True, False], [True, False, True], [False, True, False]]]
+    )
+    td[MESSAGE_EDGES] = torch.tensor([[[1.0, 1.0], [0.0, 0.0], [1.0, 0.0]]])  # robot 2 is silent
+    td[MESSAGE_BITS] = torch.tensor([[[20.0], [0.0], [10.0]]])
+    td[ACTION] = torch.tensor([[UP, UP, UP]])
+    td["next"] = env.step(td.clone())["next"]
+    recorder.update(td)
+    (record,) = recorder.records()
+    assert record["edges"] == 2 and record["messages"] == 3 and record["rounds"] == 2
+    assert record["gate"] == 2 / 4 and record["bits"] == 30 and record["bits_per_cell"] == 10
+
+
+def test_a_silent_policy_costs_nothing_and_has_no_gate():
+    env = env_of(houses_of("....", starts=[[(0, 0), (0, 1)]]), max_steps=3)
+    (record,) = played(env, lambda step: [[UP, UP]]).records()
+    assert record["edges"] == 1.0 and record["messages"] == record["rounds"] == record["bits"] == 0
+    assert record["gate"] is None
 
 
 def test_an_unfinished_house_has_null_times_and_its_last_coverage():
