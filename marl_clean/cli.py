@@ -93,10 +93,10 @@ def figure(arguments: argparse.Namespace) -> int:
 
 
 def compare(arguments: argparse.Namespace) -> int:
-    """finished runs in one table, those that differ in their seed alone as one row"""
+    """finished runs in one table, seeds pooled, each against one of them on the same houses"""
     from marl_clean import compare as command
 
-    command.main(arguments.runs, arguments.out)
+    command.main(arguments.runs, arguments.out, against=arguments.against)
     return 0
 
 
@@ -205,7 +205,12 @@ def _parser(name: str) -> Parser:
         parser.add_argument("-m", "--multirun", action="store_true", help="all combinations")
     if name == "compare":
         parser.add_argument("runs", metavar="RUN", nargs="+", help="folders of finished runs")
-        parser.add_argument("--out", type=Path, help="where to write the rows as json")
+        parser.add_argument(
+            "--out", type=Path, help="where to write the rows as json, and OUT_paired.json beside"
+        )
+        parser.add_argument(
+            "--against", metavar="ROW", help="the row that others are held against: its label"
+        )
     if name not in WITHOUT_SETTINGS:
         parser.add_argument("settings", metavar="key=value", nargs="*", help="Hydra overrides")
     return parser

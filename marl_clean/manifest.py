@@ -5,6 +5,7 @@ the manifest holds length and sha256 of the other two.
 """
 
 import json
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -61,6 +62,23 @@ def weights_sha256(run: Path) -> str:
             except Damaged:
                 continue
     raise BadInput(f"{run}: has no whole weights yet; train it until its first evaluation")
+
+
+def count_weights(run: Path) -> int | None:
+    """How many numbers the weights of a run's policy are; None where it has no readable ones."""
+    for kind in OF_WEIGHTS:
+        for path in paths(run / FOLDER, kind):
+            try:
+                with (path / TENSORS).open("rb") as file:
+                    length = int.from_bytes(file.read(8), "little")
+                    header = json.loads(file.read(min(length, LARGEST_JSON)))
+                shapes = [
+                    about["shape"] for name, about in header.items() if name != "__metadata__"
+                ]
+                return sum(math.prod(shape) for shape in shapes)
+            except (OSError, ValueError, TypeError, KeyError, AttributeError):
+                continue
+    return None
 
 
 def make_manifest(digests: Mapping[str, files.Digest]) -> bytes:

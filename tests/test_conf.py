@@ -39,6 +39,7 @@ FLOORS = [
         "build",
         "compose",
         "stored",
+        "labels",
         "fitting",
         "curriculum",
     },

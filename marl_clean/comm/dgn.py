@@ -45,7 +45,7 @@ class Dgn(Comm):
         head_dim: PositiveInt,
         rounds: PositiveInt,
         detach: bool,
-        pull: NonNegativeFloat,
+        pull: NonNegativeFloat = 0.0,
     ) -> None:
         super().__init__()
         self.heads, self.detach, self.pull = heads, detach, pull

@@ -10,8 +10,10 @@ from marl_clean.evaluation.statistics import (
     as_sample,
     bootstrap_means,
     estimate,
+    holm,
     iqm,
     paired_difference,
+    paired_p,
 )
 
 
@@ -94,3 +96,22 @@ def test_what_cannot_be_paired_is_bad_input():
         paired_difference(np.zeros((1, 3)), np.zeros((1, 4)))
     with pytest.raises(BadInput, match="as many on both sides"):
         paired_difference(np.zeros((2, 3)), np.zeros((3, 3)))
+
+
+def test_holm_by_hand() -> None:
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert holm([0.5, 0.6]) == [1.0, 1.0]
+    assert holm([]) == []
+
+
+def test_p_falls_below_a_twentieth_as_the_interval_leaves_zero() -> None:
+    rng = np.random.default_rng(5)
+    for shift in np.linspace(-0.6, 0.6, 25):
+        values = rng.normal(shift, 1, (3, 40))
+        zero = np.zeros((1, 40))
+        low, high = paired_difference(values, zero).ci95
+        p = paired_p(values, zero)
+        if not 0.04 < p < 0.06:
+            assert (p < 0.05) == (low > 0 or high < 0)
+    assert paired_p(np.full((2, 9), np.nan), np.zeros((2, 9))) == 1.0
+    assert paired_p(np.zeros((2, 9)), np.zeros((2, 9))) == 1.0

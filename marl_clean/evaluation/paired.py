@@ -1,0 +1,109 @@
+"""Policies against one of them, on the same houses from the same starts, seed by seed."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from rich import box
+from rich.table import Table
+
+from marl_clean.evaluation.records import Entry, House, sample
+from marl_clean.evaluation.statistics import as_sample, holm, paired_difference, paired_p
+
+FINISHED = "finished"
+COMPARED = ("T_90", "T_100", FINISHED)
+CAPTION = (
+    "Row minus reference, house by house and seed by seed; of times less is better.\n"
+    "Brackets: 95 % bootstrap interval over seeds and then houses. *: p < 0.05 after\n"
+    "Holm's correction over all comparisons of this table. Few seeds make both too sure."
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One setting: what it is called, its runs by seed, and how large its network is.
+
+    A planner has one run, which stands beside every seed.
+    """
+
+    label: str
+    runs: Mapping[Any, Entry]  # by seed; a planner's by None
+    parameters: int | None = None
+
+
+def differences(rows: Sequence[Row], reference: Row) -> list[dict[str, Any]]:
+    """Each row against the reference, over the seeds that both have.
+
+    A list of `{"row", "reference", "seeds", "parameters", measure: {"mean", "ci95", "p",
+    "p_holm"}}`; rows that share no seed with it are left out. Measures are those of
+    evaluation.json, a time not reached counts as max_steps; `finished` is 1 or 0 a house.
+    """
+    found = []
+    for row in rows:
+        seeds = common_seeds(row, reference)
+        if row is reference or not seeds:
+            continue
+        one: dict[str, Any] = {"row": row.label, "reference": reference.label, "seeds": seeds}
+        one["parameters"] = row.parameters
+        for measure in COMPARED:
+            ours, theirs = (values(side, seeds, measure) for side in (row, reference))
+            estimate = paired_difference(ours, theirs)
+            interval = None if estimate.ci95 is None else list(estimate.ci95)
+            p = paired_p(ours, theirs)
+            one[measure] = {"mean": estimate.mean, "ci95": interval, "p": p}
+        found.append(one)
+    cells = [one[measure] for one in found for measure in COMPARED]
+    for cell, corrected in zip(cells, holm([cell["p"] for cell in cells]), strict=True):
+        cell["p_holm"] = corrected
+    return found
+
+
+def common_seeds(row: Row, reference: Row) -> list[int]:
+    """The seeds that both have."""
+    both = [{seed for seed in side.runs if seed is not None} for side in (row, reference)]
+    if None in row.runs or None in reference.runs:  # a planner beside them
+        return sorted(both[0] | both[1])
+    return sorted(both[0] & both[1])
+
+
+def values(row: Row, seeds: Sequence[int], measure: str) -> Float[np.ndarray, "run house"]:
+    """A measure's values, a run a row; one row of a planner."""
+    entries = [row.runs[None]] if None in row.runs else [row.runs[seed] for seed in seeds]
+    runs: list[Sequence[House]] = [entry["houses"] for entry in entries]
+    if measure == FINISHED:
+        return as_sample([[float(house["T_100"] is not None) for house in run] for run in runs])
+    return sample(runs, measure)
+
+
+def make_paired_table(found: Sequence[Mapping[str, Any]], reference: Row) -> Table:
+    """The differences as a table in the terminal."""
+    of = f" ({reference.parameters:,} parameters)" if reference.parameters else ""
+    table = Table(
+        title=f"minus {reference.label}{of}",
+        caption=CAPTION,
+        caption_justify="left",
+        box=box.SIMPLE_HEAD,
+    )
+    table.add_column("", no_wrap=True)
+    for title in ("parameters", "seeds", *COMPARED):
+        table.add_column(title, justify="right", no_wrap=True)
+    for one in found:
+        parameters = "-" if one["parameters"] is None else f"{one['parameters']:,}"
+        cells = [cell_of(one[measure], measure) for measure in COMPARED]
+        table.add_row(one["row"], parameters, str(len(one["seeds"])), *cells)
+    return table
+
+
+def cell_of(difference: Mapping[str, Any], measure: str) -> str:
+    """A difference and its interval, marked where it holds after correction."""
+    if difference["mean"] is None:
+        return "-"
+    scale = 100 if measure == FINISHED else 1
+    mean, low, high = (
+        f"{scale * value:+.1f}" for value in (difference["mean"], *difference["ci95"])
+    )
+    unit = " %" if measure == FINISHED else ""
+    mark = " *" if difference["p_holm"] < 0.05 else "  "
+    return f"{mean}{unit} [{low}, {high}]{mark}"
