@@ -17,10 +17,11 @@ from marl_clean.compose import checked, plays_houses
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.errors import BadInput
 from marl_clean.fitting import check_fit
+from marl_clean.global_state import GlobalState
 from marl_clean.house.base import Houses, draw_bank, draw_houses, smallest_first, split_seeds
 from marl_clean.manifest import weights_sha256
 from marl_clean.planner.base import Planner
-from marl_clean.schema import instantiate, takes
+from marl_clean.schema import constant, instantiate, takes
 from marl_clean.settings import HouseOrder
 from marl_clean.stored import find_run, load_config
 
@@ -73,7 +74,9 @@ def make_env(
         device=torch.device(cfg.device),
         **changes,
     )
-    return TransformedEnv(env, Compose(topology, observation, *draws(cfg), *payment(cfg)))
+    told = [GlobalState()] if constant(cfg.agent._target_, "needs_state") else []
+    transforms = (topology, observation, *told, *draws(cfg), *payment(cfg))
+    return TransformedEnv(env, Compose(*transforms))
 
 
 def make_task(cfg: DictConfig, num_envs: int | None = None, first_env: int = 0) -> TransformedEnv:
@@ -144,8 +147,12 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     seen = env.observation_spec[keys.OBSERVATION].shape[2:]
     encoder = instantiate(cfg.encoder, observation_shape=seen)
     comm = make_comm(cfg.comm, encoder.out_features, seen)
+    told = {}
+    if constant(cfg.agent._target_, "needs_state"):
+        told["state_shape"] = env.observation_spec[keys.STATE].shape[1:]
     return instantiate(
         cfg.agent,
+        **told,
         encoder=encoder,
         comm=comm,
         channels=make_channels(cfg, tuple(comm.message_dims)),

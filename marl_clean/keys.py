@@ -13,7 +13,13 @@ DISTANCE_RANK = (AGENTS, "distance_rank")  # *B n n int64, 0 itself, 1 the neare
 
 ACTION = (AGENTS, "action")  # *B n int64: 0 up, 1 right, 2 down, 3 left
 ACTION_VALUE = (AGENTS, "action_value")  # *B n 4 float32
+LOGITS = (AGENTS, "logits")  # *B n 4 float32, of a policy that draws its actions
+LOG_PROB = (AGENTS, "action_log_prob")  # *B n float32: of the action drawn
+STATE_VALUE = (AGENTS, "state_value")  # *B n 1 float32: a critic's
+ADVANTAGE = (AGENTS, "advantage")  # *B n 1 float32
+VALUE_TARGET = (AGENTS, "value_target")  # *B n 1 float32
 CHOSEN_ACTION_VALUE = (AGENTS, "chosen_action_value")  # *B n 1 float32
+TEAM_VALUE = "chosen_action_value"  # *B 1 float32: the robots' chosen values, mixed
 JOINT_ACTION = "joint_action"  # *B int64, base 4, robot 0 the lowest digit
 JOINT_ACTION_VALUE = "joint_action_value"  # *B 4^n float32
 CHOSEN_JOINT_ACTION_VALUE = "chosen_joint_action_value"  # *B 1 float32
@@ -27,6 +33,8 @@ OUTBOX = (AGENTS, "outbox")  # the same, of a scheme whose messages are heard la
 BURST = (AGENTS, "burst")  # *B n n bool, [i, j]: the way from j to i is in a burst of losses
 HIDDEN = (AGENTS, "hidden")  # *B n d float32: a recurrent encoder's memory
 IS_INIT = "is_init"  # *B 1 bool: the first frame of an episode
+
+STATE = "state"  # *B ch R C bool: the truth, for mixers
 
 REWARD = (AGENTS, "reward")  # *B n 1 float32: what the robot is paid
 OWN_REWARD = (AGENTS, "own_reward")  # *B n 1 float32: what it earned itself

@@ -25,7 +25,7 @@ from marl_clean.report.curve import draw_curve
 from marl_clean.report.replay import make_replay
 from marl_clean.schema import instantiate
 from marl_clean.stored import CONFIG, find_run, load_config
-from marl_clean.trainer.off_policy import Outcome
+from marl_clean.training import Outcome
 
 
 def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[Entry]:

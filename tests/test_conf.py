@@ -27,11 +27,12 @@ FLOORS = [
     | {"symmetry", "world", "manifest", "presets", "delivery"},
     {"house", "floorplan_readers"},
     {"env"},
-    {"transform", "channel_seed", "observation", "topology", "reward"}
+    {"transform", "channel_seed", "global_state", "observation", "topology", "reward"}
     | {"encoder", "comm", "channel"},
-    {"networks", "acting", "agent", "planner"},
+    {"networks", "acting", "deep_q", "ppo", "agent", "planner"},
     {
         "trainer",
+        "training",
         "evaluation",
         "report",
         "logger",

@@ -7,8 +7,9 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequ
 from torchrl.data import Categorical, Composite
 
 from marl_clean import keys
-from marl_clean.agent.base import Channels, DeepQ
+from marl_clean.agent.base import Channels
 from marl_clean.comm.base import Comm
+from marl_clean.deep_q import DeepQ
 from marl_clean.encoder.base import Encoder
 from marl_clean.errors import BadInput
 from marl_clean.networks import JointQNetwork, decode_joint, encode_joint
@@ -56,7 +57,12 @@ class CentralDqn(DeepQ):
             sensible time.
     """
 
-    fits = {"comm": ["none"], "reward": ["team"], "channel": ["perfect"]}
+    fits = {
+        "comm": ["none"],
+        "reward": ["team"],
+        "channel": ["perfect"],
+        "trainer": ["off_policy"],
+    }
     sized_by = ["env.n_agents"]
 
     network: JointQNetwork

@@ -5,74 +5,21 @@ from typing import ClassVar
 
 import torch
 from tensordict import NestedKey, TensorDictBase
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from tensordict.nn import TensorDictSequential
 from torch import Tensor
 from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
 
 from marl_clean import acting, keys
-from marl_clean.agent.base import Channels, DeepQ
+from marl_clean.acting import Greedy
+from marl_clean.agent.base import Channels
 from marl_clean.comm.base import Comm
+from marl_clean.deep_q import DeepQ
 from marl_clean.encoder.base import Encoder
-from marl_clean.networks import QNetwork, RobotsNetwork
+from marl_clean.networks import QNetwork
 from marl_clean.settings import Precision
 
 DONE, TERMINATED = (keys.AGENTS, keys.DONE), (keys.AGENTS, keys.TERMINATED)
-
-
-class Greedy(TensorDictModuleBase):
-    """Every robot's best action: the network, as what TorchRL calls a Q-value actor.
-
-    One module in the place of three (network, choice, their sequence): a third of their time
-    outside of the network, which counts where the network is small.
-
-    Args:
-        network: values of the robots' actions.
-        n_agents: robots in a world.
-        plays: it acts in an env, so what the network carries is written into the next frame;
-            otherwise it learns, from frames that hold what was carried.
-        tells: it writes down what was said, too.
-        repeats: a frame that holds what was said is heard as it was then.
-    """
-
-    def __init__(
-        self,
-        network: RobotsNetwork,
-        n_agents: int,
-        plays: bool,
-        tells: bool,
-        repeats: bool = False,
-    ) -> None:
-        super().__init__()
-        self.network, self.tells, self.plays, self.repeats = network, tells, plays, repeats
-        self.n_agents = n_agents
-        self.in_keys = list(network.sees)
-        self.out_keys = [keys.ACTION, keys.ACTION_VALUE, keys.CHOSEN_ACTION_VALUE]
-        if tells:
-            self.out_keys += acting.TOLD
-        if plays:
-            self.out_keys += [("next", key) for key in network.carries]
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        entries = acting.entries(self.network, tensordict)
-        said = tensordict.get(keys.MESSAGE) if self.repeats else None
-        if not self.plays and keys.IS_INIT in tensordict.keys():
-            value = self.network.unroll(tensordict.get(keys.IS_INIT), *entries, said=said)
-        else:
-            value, talk, carried = self.network(*entries, said=said)
-            if self.plays:
-                acting.note_carried(tensordict, self.network.carries, carried)
-            if self.tells:
-                acting.note_talk(tensordict, talk)
-        chosen, action = value.max(-1, keepdim=True)
-        tensordict.set(keys.ACTION_VALUE, value)
-        tensordict.set(keys.CHOSEN_ACTION_VALUE, chosen)
-        tensordict.set(keys.ACTION, action.squeeze(-1))
-        return tensordict
-
-    def make_tensordict_primer(self) -> TensorDictPrimer:
-        """Return the transform by which an env begins episodes with what the network carries."""
-        return acting.primer(self.network, self.n_agents)
 
 
 class Iql(DeepQ):

@@ -1,242 +1,281 @@
-"""What a training loop needs beside its algorithm: to be stopped, and to go on exactly."""
+"""What the training loops share: a run with its clock, its log, its best weights and its states."""
 
-import signal
-import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
-from types import FrameType, TracebackType
+import logging
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
-from torchrl.collectors import Collector
-from torchrl.data import TensorDictReplayBuffer
-from torchrl.envs import MultiStepTransform
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType
 
 from marl_clean import keys
-from marl_clean.checkpoint import Checkpoints
+from marl_clean.agent.base import Agent
+from marl_clean.checkpoint import FOLDER, Checkpoints
+from marl_clean.curriculum import Curriculum
 from marl_clean.errors import BadInput
+from marl_clean.logger.base import CLOCK, Logger, Progress
+from marl_clean.training import (
+    Best,
+    CarriedCollector,
+    Diverged,
+    Interrupts,
+    Outcome,
+    Stopped,
+    Tally,
+    random_state,
+    restore_random,
+)
+
+Evaluate = Callable[[TensorDictModuleBase], Mapping[str, float]]
+log = logging.getLogger(__name__)
+COUNTERS = ("frames", "updates", "logged", "evaluated", "saved")
 
 
-class Diverged(BadInput):
-    """A number that learning needs is NaN or infinite; the message names it, and the update."""
+class Trainer(ABC):
+    """Train an agent in a budget of frames.
 
-
-class Stopped(Exception):
-    """A signal came while something ran that may be broken off."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a run.
-
-    Attributes:
-        frames, updates: played and learnt in all.
-        best: frames and measures of the weights chosen on validation houses; None without any.
-        was_finished: nothing was left to do.
+    Every block of frames: play with exploration, and learn. At fixed frames: log, evaluate and
+    keep the best weights, save the state. The same call goes on from the newest state, exactly:
+    on a CPU with one thread its weights and rows are those of the uninterrupted run. Only where the
+    env cannot be saved in the middle of its episodes (`goes_on_exactly`) does it begin new ones.
     """
 
-    frames: int
-    updates: int
-    best: dict[str, Any] | None
-    was_finished: bool
+    total_frames: int
+    frames_per_batch: int
+    log_interval_frames: int
+    eval_interval_frames: int
+    checkpoint_interval_frames: int
+    select_by: str
+    curriculum: tuple[int, float, int]
 
-
-class Interrupts:
-    """Turns SIGTERM and SIGINT into a flag, to be acted on where the run can be saved.
-
-    Attributes:
-        signal: the signal that came, or None.
-    """
-
-    def __init__(self) -> None:
-        self.signal: int | None = None
-        self._breakable = False
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> "Interrupts":
-        if threading.current_thread() is threading.main_thread():  # others cannot have handlers
-            for number in (signal.SIGTERM, signal.SIGINT):
-                self._before[number] = signal.signal(number, self._note)
-        return self
-
-    def __exit__(
+    @abstractmethod
+    def begin(
         self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        env: EnvBase,
+        agent: Agent,
+        evaluate: Evaluate,
+        loggers: list[Logger],
+        checkpoints: Checkpoints,
+    ) -> "Run":
+        """Return the live parts of a run that has not played yet."""
+
+    def check(self, env: EnvBase) -> None:
+        """Raise BadInput where a setting does not fit the env."""
+        num_envs = env.batch_size.numel()
+        if self.frames_per_batch % num_envs:
+            near = max(1, self.frames_per_batch // num_envs) * num_envs
+            raise BadInput(
+                f"trainer.frames_per_batch={self.frames_per_batch}: must be a multiple of"
+                f" env.num_envs={num_envs}, such as {near}"
+            )
+        Curriculum(*self.curriculum).check(env.base_env)
+
+    def train(
+        self,
+        env: EnvBase,
+        agent: Agent,
+        evaluate: Evaluate,
+        loggers: Iterable[Logger],
+        folder: Path,
+        start_is_candidate: bool = False,
+    ) -> Outcome:
+        """Train `agent` in `env` until the budget is spent; resume what `folder` holds.
+
+        `evaluate` measures a policy on validation houses and names what it measured. With
+        `start_is_candidate` the weights that the agent came with may be the best.
+
+        Raises:
+            BadInput: a setting that does not fit the env, damaged checkpoints, a full disk.
+            Diverged: a number became NaN or infinite; nothing of it was saved.
+            SystemExit: 143 or 130, after SIGTERM or SIGINT, when the state is saved.
+        """
+        checkpoints = Checkpoints(folder / FOLDER)
+        final = checkpoints.newest("final")
+        if final is not None:
+            return Outcome(final.frames, final.notes["updates"], final.notes["best"], True)
+        self.check(env)
+        run = self.begin(env, agent, evaluate, list(loggers), checkpoints)
+        run.resume()
+        with Interrupts() as interrupts, Progress(self.total_frames, run.frames) as progress:
+            try:
+                if start_is_candidate and not run.frames:
+                    with suppress(Stopped):  # the loop sees the signal
+                        run.measure(interrupts)
+                while True:
+                    run.report(interrupts, progress)
+                    if interrupts.signal or run.due(self.checkpoint_interval_frames, run.saved):
+                        run.save()
+                    if interrupts.signal:
+                        raise SystemExit(128 + interrupts.signal)
+                    if run.frames >= self.total_frames:
+                        return run.finish()
+                    run.learn(run.play())
+            finally:
+                run.close()
+
+
+class Run(ABC):
+    """The live parts of one run, and how far it is."""
+
+    def __init__(
+        self,
+        settings: Trainer,
+        env: EnvBase,
+        agent: Agent,
+        evaluate: Evaluate,
+        loggers: list[Logger],
+        checkpoints: Checkpoints,
     ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    @contextmanager
-    def breakable(self) -> Iterator[None]:
-        """Let a signal break off what runs inside, by Stopped; outside it only sets the flag."""
-        self._breakable = True
-        try:
-            if self.signal is not None:
-                raise Stopped
-            yield
-        finally:
-            self._breakable = False
-
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        self.signal = number
-        if self._breakable:
-            self._breakable = False
-            raise Stopped
-
-
-class Windows(MultiStepTransform):
-    """TorchRL's n-step windows over blocks of a collector, with the open ones as its state.
-
-    Takes blocks `[env, time]` and gives those frames whose window is full, or ended by done:
-    reward r_t + gamma r_t+1 + ..., `next` as it is at the window's end with its `terminated`,
-    and the window's length under `steps_to_next_obs`.
-    """
-
-    def __init__(self, n_steps: int, gamma: float) -> None:
-        # done_keys=[]: else an episode that ends in the window is bootstrapped past its end.
-        super().__init__(n_steps, gamma, reward_keys=[keys.REWARD], done_keys=[])
-
-    def state(self) -> TensorDict | None:
-        return self._buffer
-
-    def restore(self, state: TensorDict | None) -> None:
-        self._buffer = state
-
-
-class Rows:
-    """Cuts what worlds play into rows of so many frames, one world's each.
-
-    Attributes:
-        open: the frames `[env, time]` that do not fill a row yet; None before the first.
-    """
-
-    def __init__(self, frames: int) -> None:
-        self.frames = frames
-        self.open: TensorDictBase | None = None
-
-    def full(self, block: TensorDictBase) -> Iterator[TensorDictBase]:
-        """Add a block `[env, time]` and return the rows `[env, frames]` that are full now."""
-        self.open = block if self.open is None else torch.cat([self.open, block], dim=1)
-        while self.open.shape[1] >= self.frames:
-            yield self.open[:, : self.frames].contiguous()
-            self.open = self.open[:, self.frames :].contiguous()
-
-
-class CarriedCollector(Collector):
-    """TorchRL's collector, with the step that it carries from block to block as its state."""
-
-    def state(self) -> TensorDictBase:
-        return self._carrier
-
-    def restore(self, state: TensorDictBase) -> None:
-        self._carrier = state
-
-    def begin_anew(self) -> None:
-        """Leave the episodes that are being played, and begin others."""
-        self._carrier.update(self.env.reset())
-
-
-def replay_state(replay: TensorDictReplayBuffer) -> dict[str, Any]:
-    """Return what a replay buffer holds, and where it writes next."""
-    frames = replay.storage[: len(replay)] if len(replay) else None
-    return {"frames": frames, "writer": replay.writer.state_dict()}
-
-
-def restore_replay(replay: TensorDictReplayBuffer, state: Mapping[str, Any]) -> None:
-    """Fill an empty replay buffer, exactly as it was."""
-    if state["frames"] is not None:
-        replay.extend(state["frames"])
-    replay.writer.load_state_dict(state["writer"])
-
-
-def random_state(device: torch.device) -> dict[str, Tensor]:
-    """Return the states of torch's random streams, the CPU's and that of `device`."""
-    states = {"cpu": torch.get_rng_state()}
-    if device.type == "cuda":
-        states["cuda"] = torch.cuda.get_rng_state(device)
-    return states
-
-
-def restore_random(states: Mapping[str, Tensor], device: torch.device) -> None:
-    """Put torch's random streams where `random_state` was taken."""
-    torch.set_rng_state(states["cpu"])
-    if device.type == "cuda":
-        torch.cuda.set_rng_state(states["cuda"], device)
-
-
-def check_finite(values: Tensor, name: str, updates: int, frames: int) -> None:
-    """Raise Diverged where one of the values, measured after `updates` updates, is not finite."""
-    if not values.isfinite().all():
-        update = updates + 1 + int(values.isfinite().logical_not().nonzero()[0])
-        raise Diverged(
-            f"update {update}, frame {frames}: {name} is NaN or infinite;"
-            " nothing of it is saved; a smaller agent.lr may help"
+        self.settings, self.env, self.agent = settings, env, agent
+        self.evaluate, self.loggers, self.checkpoints = evaluate, loggers, checkpoints
+        self.curriculum = Curriculum(*settings.curriculum)
+        self.curriculum.open_houses(env.base_env)
+        self.collector = CarriedCollector(
+            env,
+            agent.exploration(env.full_action_spec),
+            frames_per_batch=settings.frames_per_batch,
+            total_frames=-1,
+            exploration_type=ExplorationType.RANDOM,
+            track_traj_ids=False,
+            auto_register_policy_transforms=False,
         )
+        self.blocks = iter(self.collector)
+        self.tally = Tally()
+        self.frames = self.updates = 0
+        self.logged = self.evaluated = self.saved = 0  # frames at the last time
+        self.best = Best(settings.select_by, checkpoints)
 
+    def play(self) -> TensorDictBase:
+        """Play a block of frames `[env, time]` with exploration, and count what came of it."""
+        block = next(self.blocks)
+        self.frames += block.numel()
+        self.agent.anneal(self.frames / self.settings.total_frames)
+        later = block["next"]
+        if not later[keys.REWARD].isfinite().all():
+            raise Diverged(f"frame {self.frames}: a reward is NaN or infinite")
+        done = later[keys.DONE].squeeze(-1)
+        self.tally.add("reward", later[keys.REWARD])
+        self.tally.add("episode_reward", later[keys.EPISODE_REWARD].mean((-2, -1)), where=done)
+        finished = later[keys.TERMINATED].squeeze(-1)
+        self.tally.add("finished", finished.double(), where=done)
+        self.curriculum.note(self.env.base_env, done, finished)
+        return block
 
-class Best:
-    """The weights that a measure on validation houses chose so far, saved as they are chosen.
+    @abstractmethod
+    def learn(self, block: TensorDictBase) -> None:
+        """Learn from a block, or from what is remembered of it and of those before."""
 
-    Attributes:
-        by: the measure; of times (T_...) the lowest is best, of all others the highest.
-        found: frames, measured and weights of the best; None before the first evaluation.
-    """
+    @abstractmethod
+    def own_state(self) -> dict[str, Any]:
+        """Return what this loop goes on from beside what all have."""
 
-    def __init__(self, by: str, checkpoints: Checkpoints) -> None:
-        self.by, self.checkpoints = by, checkpoints
-        self.sign = -1.0 if by.startswith("T_") else 1.0
-        self.found: dict[str, Any] | None = None
+    @abstractmethod
+    def restore_own(self, state: Mapping[str, Any]) -> None:
+        """Go on from `own_state`."""
 
-    def offer(self, frames: int, measured: Mapping[str, float], weights: dict[str, Tensor]) -> None:
-        """Keep and save the weights if they are better than all before."""
-        if self.by not in measured:
-            raise BadInput(f"trainer.select_by={self.by}: valid: {', '.join(sorted(measured))}")
-        value = self.sign * measured[self.by]
-        if self.found is None or value > self.sign * self.found["measured"][self.by]:
-            self.found = {"frames": frames, "measured": dict(measured), "weights": weights}
-            self.save()
+    def report(self, interrupts: Interrupts, progress: Progress) -> None:
+        """Evaluate and write a row, each if it is due; show how far the run is."""
+        row: dict[str, float] = {}
+        ended = self.frames >= self.settings.total_frames and self.evaluated < self.frames
+        if ended or self.due(self.settings.eval_interval_frames, self.evaluated):
+            try:
+                row = self.measure(interrupts)
+            except Stopped:  # done anew when the run goes on
+                return
+        if row or self.due(self.settings.log_interval_frames, self.logged):
+            row |= self.tally.means() | {
+                "updates": self.updates,
+                **self.agent.measures(),
+                **self.env.base_env.progress(),
+                **self.curriculum.measures(),
+                f"{CLOCK}frames_per_second": progress.frames_per_second(self.frames),
+            }
+            for logger in self.loggers:
+                logger.log(self.frames, row)
+            self.logged = self.frames
+        progress.show(self.frames, row)
+
+    def measure(self, interrupts: Interrupts) -> dict[str, float]:
+        """Measure the greedy policy on validation houses; keep its weights if they are best."""
+        cuda = [self.env.device] if self.env.device.type == "cuda" else []
+        with torch.random.fork_rng(devices=cuda), torch.no_grad(), interrupts.breakable():
+            measured = self.evaluate(self.agent.policy())
+        self.best.offer(self.frames, measured, self._weights())
+        self.evaluated = self.frames
+        return {f"validation/{name}": value for name, value in measured.items()}
+
+    def _weights(self) -> dict[str, Tensor]:
+        """Return a copy of the network's weights. Raises Diverged where one is not finite."""
+        weights = self.agent.network.state_dict()
+        for name, weight in weights.items():
+            if not weight.isfinite().all():
+                raise Diverged(f"update {self.updates}: weight {name} is NaN or infinite")
+        return {name: weight.clone() for name, weight in weights.items()}
+
+    def due(self, interval: int, last: int) -> bool:
+        """Tell whether `interval` frames have been played since `last`."""
+        return self.frames - last >= interval
 
     def save(self) -> None:
-        """Save the best again, where a run that goes on does not find it."""
-        if self.found is not None:
-            frames, measured = self.found["frames"], self.found["measured"]
-            self.checkpoints.save("best", frames, self.found["weights"], measured)
+        """Save everything that the run goes on from."""
+        self._weights()
+        self.saved = self.frames
+        state = {
+            "counters": {name: getattr(self, name) for name in COUNTERS},
+            "best": self.best.found,
+            "agent": self.agent.state_dict(),
+            "env": dict(self.env.base_env.state_dict()),
+            "carried": self.collector.state(),
+            **self.own_state(),
+            "tally": self.tally.state(),
+            "curriculum": self.curriculum.state(),
+            "random": random_state(self.env.device),
+        }
+        self.checkpoints.save("state", self.frames, state, {})
 
-    def summary(self) -> dict[str, Any] | None:
-        """Return frames and measures of the best, without its weights."""
-        if self.found is None:
-            return None
-        return {"frames": self.found["frames"], **self.found["measured"]}
+    def resume(self) -> None:
+        """Go on from the newest state, if there is one."""
+        newest = self.checkpoints.newest("state")
+        if newest is not None:
+            self._restore(newest.tree)
+            self.checkpoints.forget_after(self.frames)
+            self.best.save()
+        self.agent.anneal(self.frames / self.settings.total_frames)
+        for logger in self.loggers:
+            logger.resume(self.logged)
 
+    def _restore(self, state: dict[str, Any]) -> None:
+        device = self.env.device
+        for name, value in state["counters"].items():
+            setattr(self, name, value)
+        self.best.found = state["best"]
+        self.agent.load_state_dict(state["agent"])
+        self.env.base_env.load_state_dict(state["env"])
+        if self.env.base_env.goes_on_exactly:
+            self.collector.restore(state["carried"].to(device))
+        else:
+            log.warning("frame %d: goes on with new episodes; env cannot save its own", self.frames)
+            self.collector.begin_anew()
+        self.restore_own(state)
+        self.tally.restore(state["tally"])
+        self.curriculum.restore(state["curriculum"])
+        restore_random(state["random"], device)
 
-class Tally:
-    """Sums of measures and how often each was taken, kept as tensors until a row is due."""
+    def finish(self) -> Outcome:
+        """Save the last weights; the states are then of no more use."""
+        notes = {"updates": self.updates, "best": self.best.summary()}
+        self.checkpoints.save("final", self.frames, self._weights(), notes)
+        self.checkpoints.remove("state")
+        return Outcome(self.frames, self.updates, self.best.summary(), was_finished=False)
 
-    def __init__(self) -> None:
-        self.sums: dict[str, Tensor] = {}
-        self.counts: dict[str, Tensor] = {}
-
-    def add(self, name: str, values: Tensor, where: Tensor | None = None) -> None:
-        """Take all `values`, or those that a mask of the same shape picks."""
-        chosen = torch.ones_like(values, dtype=torch.bool) if where is None else where
-        total = torch.where(chosen, values, 0).sum(dtype=torch.float64)
-        self.sums[name] = self.sums.get(name, 0) + total
-        self.counts[name] = self.counts.get(name, 0) + chosen.sum()
-
-    def means(self) -> dict[str, float]:
-        """Return the mean of each measure that was taken at all, and begin anew."""
-        counts = {name: int(count) for name, count in self.counts.items()}
-        means = {name: float(self.sums[name]) / count for name, count in counts.items() if count}
-        self.sums, self.counts = {}, {}
-        return means
-
-    def state(self) -> dict[str, dict[str, Tensor]]:
-        return {"sums": self.sums, "counts": self.counts}
-
-    def restore(self, state: Mapping[str, dict[str, Tensor]]) -> None:
-        self.sums, self.counts = state["sums"], state["counts"]
+    def close(self) -> None:
+        """Let go of the collector, and put all rows on the disk."""
+        self.collector.shutdown(close_env=False)
+        for logger in self.loggers:
+            logger.close()

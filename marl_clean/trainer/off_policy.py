@@ -1,55 +1,28 @@
 """The off-policy loop: play, remember, learn; and now and then log, evaluate, save."""
 
-import logging
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import torch
-from tensordict.nn import TensorDictModuleBase
-from torch import Tensor
+from tensordict import TensorDictBase
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType
 
 from marl_clean import keys
 from marl_clean.agent.base import Agent
-from marl_clean.checkpoint import FOLDER, Checkpoints
-from marl_clean.curriculum import Curriculum
+from marl_clean.checkpoint import Checkpoints
 from marl_clean.errors import BadInput
-from marl_clean.logger.base import CLOCK, Logger, Progress
+from marl_clean.logger.base import Logger
 from marl_clean.settings import NonNegativeInt, PositiveFloat, PositiveInt, Probability
-from marl_clean.trainer.base import (
-    Best,
-    CarriedCollector,
-    Diverged,
-    Interrupts,
-    Outcome,
-    Rows,
-    Stopped,
-    Tally,
-    Windows,
-    check_finite,
-    random_state,
-    replay_state,
-    restore_random,
-    restore_replay,
-)
-
-Evaluate = Callable[[TensorDictModuleBase], Mapping[str, float]]
-log = logging.getLogger(__name__)
-COUNTERS = ("frames", "updates", "logged", "evaluated", "saved")
+from marl_clean.trainer.base import Evaluate, Run, Trainer
+from marl_clean.training import Rows, Windows, check_finite, replay_state, restore_replay
 
 
-class OffPolicy:
+class OffPolicy(Trainer):
     """Train an agent from replayed experience, in a budget of frames.
 
     Every block of frames: play with exploration, close the n-step windows, remember them, learn
-    from `replay_ratio` remembered frames for every new one. At fixed frames: log, evaluate and
-    keep the best weights, save the state. The same call goes on from the newest state, exactly:
-    on a CPU with one thread its weights and rows are those of the uninterrupted run. Only where the
-    env cannot be saved in the middle of its episodes (`goes_on_exactly`) does it begin new ones.
+    from `replay_ratio` remembered frames for every new one. All else as in `Trainer`.
 
     Args:
         total_frames: the run's length; a frame is one step of one world with all its robots.
@@ -97,68 +70,27 @@ class OffPolicy:
         self.curriculum = curriculum_stages, curriculum_promote_at, curriculum_window_episodes
 
     def check(self, env: EnvBase) -> None:
-        """Raise BadInput where a setting does not fit the env."""
         for key in ("buffer_frames", "batch_frames"):
             if getattr(self, key) < self.window_frames:
                 raise BadInput(
                     f"trainer.{key}={getattr(self, key)}: must hold at least"
                     f" trainer.window_frames={self.window_frames}"
                 )
-        num_envs = env.batch_size.numel()
-        if self.frames_per_batch % num_envs:
-            near = max(1, self.frames_per_batch // num_envs) * num_envs
-            raise BadInput(
-                f"trainer.frames_per_batch={self.frames_per_batch}: must be a multiple of"
-                f" env.num_envs={num_envs}, such as {near}"
-            )
-        Curriculum(*self.curriculum).check(env.base_env)
+        super().check(env)
 
-    def train(
+    def begin(
         self,
         env: EnvBase,
         agent: Agent,
         evaluate: Evaluate,
-        loggers: Iterable[Logger],
-        folder: Path,
-        start_is_candidate: bool = False,
-    ) -> Outcome:
-        """Train `agent` in `env` until the budget is spent; resume what `folder` holds.
-
-        `evaluate` measures a policy on validation houses and names what it measured. With
-        `start_is_candidate` the weights that the agent came with may be the best.
-
-        Raises:
-            BadInput: a setting that does not fit the env, damaged checkpoints, a full disk.
-            Diverged: a number became NaN or infinite; nothing of it was saved.
-            SystemExit: 143 or 130, after SIGTERM or SIGINT, when the state is saved.
-        """
-        checkpoints = Checkpoints(folder / FOLDER)
-        final = checkpoints.newest("final")
-        if final is not None:
-            return Outcome(final.frames, final.notes["updates"], final.notes["best"], True)
-        run = _Run(self, env, agent, evaluate, list(loggers), checkpoints)
-        run.resume()
-        with Interrupts() as interrupts, Progress(self.total_frames, run.frames) as progress:
-            try:
-                if start_is_candidate and not run.frames:
-                    with suppress(Stopped):  # the loop sees the signal
-                        run.measure(interrupts)
-                while True:
-                    run.report(interrupts, progress)
-                    if interrupts.signal or run.due(self.checkpoint_interval_frames, run.saved):
-                        run.save()
-                    if interrupts.signal:
-                        raise SystemExit(128 + interrupts.signal)
-                    if run.frames >= self.total_frames:
-                        return run.finish()
-                    run.play()
-                    run.learn()
-            finally:
-                run.close()
+        loggers: list[Logger],
+        checkpoints: Checkpoints,
+    ) -> "OffPolicyRun":
+        return OffPolicyRun(self, env, agent, evaluate, loggers, checkpoints)
 
 
-class _Run:
-    """The live parts of one run, and how far it is."""
+class OffPolicyRun(Run):
+    """A run with its replay."""
 
     def __init__(
         self,
@@ -169,21 +101,8 @@ class _Run:
         loggers: list[Logger],
         checkpoints: Checkpoints,
     ) -> None:
-        settings.check(env)
-        self.settings, self.env, self.agent = settings, env, agent
-        self.evaluate, self.loggers, self.checkpoints = evaluate, loggers, checkpoints
-        self.curriculum = Curriculum(*settings.curriculum)
-        self.curriculum.open_houses(env.base_env)
-        self.collector = CarriedCollector(
-            env,
-            agent.exploration(env.full_action_spec),
-            frames_per_batch=settings.frames_per_batch,
-            total_frames=-1,
-            exploration_type=ExplorationType.RANDOM,
-            track_traj_ids=False,
-            auto_register_policy_transforms=False,
-        )
-        self.blocks = iter(self.collector)
+        super().__init__(settings, env, agent, evaluate, loggers, checkpoints)
+        self.limits = settings
         self.windows = Windows(agent.n_steps, agent.gamma)
         self.rows = Rows(settings.window_frames) if agent.unrolls else None
         together = 1 if self.rows is None else settings.window_frames
@@ -191,36 +110,17 @@ class _Run:
             storage=LazyTensorStorage(settings.buffer_frames // together, device=env.device),
             batch_size=settings.batch_frames // together,
         )
-        self.tally = Tally()
-        self.frames = self.updates = 0
-        self.logged = self.evaluated = self.saved = 0  # frames at the last time
-        self.best = Best(settings.select_by, checkpoints)
 
-    def play(self) -> None:
-        """Play a block of frames with exploration, and remember what can be learnt from."""
-        block = next(self.blocks)
-        self.frames += block.numel()
-        self.agent.anneal(self.frames / self.settings.total_frames)
-        later = block["next"]
-        if not later[keys.REWARD].isfinite().all():
-            raise Diverged(f"frame {self.frames}: a reward is NaN or infinite")
+    def learn(self, block: TensorDictBase) -> None:
+        """Remember what can be learnt from; learn as often as the frames since the start allow."""
         ready = self.windows.inv(block.select(*self.agent.learns_from))
         if ready is not None:
             ready = ready.select(*self.agent.learns_from, keys.STEPS_TO_NEXT_OBS)
             for items in [ready.flatten()] if self.rows is None else self.rows.full(ready):
                 self.replay.extend(items)
-        done = later[keys.DONE].squeeze(-1)
-        self.tally.add("reward", later[keys.REWARD])
-        self.tally.add("episode_reward", later[keys.EPISODE_REWARD].mean((-2, -1)), where=done)
-        finished = later[keys.TERMINATED].squeeze(-1)
-        self.tally.add("finished", finished.double(), where=done)
-        self.curriculum.note(self.env.base_env, done, finished)
-
-    def learn(self) -> None:
-        """Learn as often as the frames played since the start allow."""
-        settings = self.settings
-        learnable = max(0, self.frames - settings.start_frames) * settings.replay_ratio
-        owed = int(learnable / settings.batch_frames) - self.updates
+        limits = self.limits
+        learnable = max(0, self.frames - limits.start_frames) * limits.replay_ratio
+        owed = int(learnable / limits.batch_frames) - self.updates
         if not len(self.replay) or owed <= 0:
             return
         measures = [self.agent.update(self.replay.sample()) for _ in range(owed)]
@@ -230,110 +130,18 @@ class _Run:
             self.tally.add(name, values)
         self.updates += owed
 
-    def report(self, interrupts: Interrupts, progress: Progress) -> None:
-        """Evaluate and write a row, each if it is due; show how far the run is."""
-        row: dict[str, float] = {}
-        ended = self.frames >= self.settings.total_frames and self.evaluated < self.frames
-        if ended or self.due(self.settings.eval_interval_frames, self.evaluated):
-            try:
-                row = self.measure(interrupts)
-            except Stopped:  # done anew when the run goes on
-                return
-        if row or self.due(self.settings.log_interval_frames, self.logged):
-            row |= self.tally.means() | {
-                "epsilon": self.agent.epsilon,
-                "updates": self.updates,
-                **self.env.base_env.progress(),
-                **self.curriculum.measures(),
-                f"{CLOCK}frames_per_second": progress.frames_per_second(self.frames),
-            }
-            for logger in self.loggers:
-                logger.log(self.frames, row)
-            self.logged = self.frames
-        progress.show(self.frames, row)
-
-    def measure(self, interrupts: Interrupts) -> dict[str, float]:
-        """Measure the greedy policy on validation houses; keep its weights if they are best."""
-        cuda = [self.env.device] if self.env.device.type == "cuda" else []
-        with torch.random.fork_rng(devices=cuda), torch.no_grad(), interrupts.breakable():
-            measured = self.evaluate(self.agent.policy())
-        self.best.offer(self.frames, measured, self._weights())
-        self.evaluated = self.frames
-        return {f"validation/{name}": value for name, value in measured.items()}
-
-    def _weights(self) -> dict[str, Tensor]:
-        """Return a copy of the network's weights. Raises Diverged where one is not finite."""
-        weights = self.agent.network.state_dict()
-        for name, weight in weights.items():
-            if not weight.isfinite().all():
-                raise Diverged(f"update {self.updates}: weight {name} is NaN or infinite")
-        return {name: weight.clone() for name, weight in weights.items()}
-
-    def due(self, interval: int, last: int) -> bool:
-        """Tell whether `interval` frames have been played since `last`."""
-        return self.frames - last >= interval
-
-    def save(self) -> None:
-        """Save everything that the run goes on from."""
-        self._weights()
-        self.saved = self.frames
-        device = self.env.device
-        state = {
-            "counters": {name: getattr(self, name) for name in COUNTERS},
-            "best": self.best.found,
-            "agent": self.agent.state_dict(),
-            "env": dict(self.env.base_env.state_dict()),
-            "carried": self.collector.state(),
+    def own_state(self) -> dict[str, Any]:
+        return {
             "windows": self.windows.state(),
             "rows": None if self.rows is None else self.rows.open,
             "replay": replay_state(self.replay),
-            "tally": self.tally.state(),
-            "curriculum": self.curriculum.state(),
-            "random": random_state(device),
         }
-        self.checkpoints.save("state", self.frames, state, {})
 
-    def resume(self) -> None:
-        """Go on from the newest state, if there is one."""
-        newest = self.checkpoints.newest("state")
-        if newest is not None:
-            self._restore(newest.tree)
-            self.checkpoints.forget_after(self.frames)
-            self.best.save()
-        self.agent.anneal(self.frames / self.settings.total_frames)
-        for logger in self.loggers:
-            logger.resume(self.logged)
-
-    def _restore(self, state: dict[str, Any]) -> None:
+    def restore_own(self, state: Mapping[str, Any]) -> None:
         device = self.env.device
-        for name, value in state["counters"].items():
-            setattr(self, name, value)
-        self.best.found = state["best"]
-        self.agent.load_state_dict(state["agent"])
-        self.env.base_env.load_state_dict(state["env"])
         if self.env.base_env.goes_on_exactly:
-            self.collector.restore(state["carried"].to(device))
-            windows = state["windows"]
+            windows, rows = state["windows"], state.get("rows")
             self.windows.restore(None if windows is None else windows.to(device))
-            if self.rows is not None and state["rows"] is not None:
-                self.rows.open = state["rows"].to(device)
-        else:
-            log.warning("frame %d: goes on with new episodes; env cannot save its own", self.frames)
-            self.collector.begin_anew()
+            if self.rows is not None and rows is not None:
+                self.rows.open = rows.to(device)
         restore_replay(self.replay, state["replay"])
-        self.tally.restore(state["tally"])
-        self.curriculum.restore(state["curriculum"])
-        restore_random(state["random"], device)
-
-    def finish(self) -> Outcome:
-        """Save the last weights; the states are then of no more use."""
-        notes = {"updates": self.updates, "best": self.best.summary()}
-        self.checkpoints.save("final", self.frames, self._weights(), notes)
-        self.checkpoints.remove("state")
-        return Outcome(self.frames, self.updates, self.best.summary(), was_finished=False)
-
-    def close(self) -> None:
-        """Let go of the collector, and put all rows on the disk."""
-        self.collector.shutdown(close_env=False)
-        for logger in self.loggers:
-            logger.close()

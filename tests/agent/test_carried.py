@@ -6,7 +6,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from marl_clean import build, keys
 from marl_clean.compose import compose_config
-from marl_clean.trainer.base import CarriedCollector, Rows, Windows
+from marl_clean.training import CarriedCollector, Rows, Windows
 
 BASE = [
     "train_houses=8",

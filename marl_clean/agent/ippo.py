@@ -1,0 +1,15 @@
+"""Independent PPO: each robot's critic knows what that robot sees."""
+
+from torchrl.objectives import IPPOLoss
+
+from marl_clean.ppo import Ppo
+
+
+class Ippo(Ppo):
+    """Every robot learns its policy by PPO, and the value of what it sees itself.
+
+    All else as in `marl_clean.ppo.Ppo`. Source: arXiv 2011.09533; TorchRL's loss.
+    """
+
+    central = False
+    loss_class = IPPOLoss

@@ -1,0 +1,118 @@
+"""The on-policy loop: play a block, learn from it a few times, forget it."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase
+
+from marl_clean.agent.base import Agent
+from marl_clean.checkpoint import Checkpoints
+from marl_clean.errors import BadInput
+from marl_clean.logger.base import Logger
+from marl_clean.ppo import Ppo
+from marl_clean.settings import PositiveInt, Probability
+from marl_clean.trainer.base import Evaluate, Run, Trainer
+from marl_clean.training import check_finite
+
+
+class OnPolicy(Trainer):
+    """Train an agent from what it has just played, in a budget of frames.
+
+    Every block of frames: play with exploration, estimate advantages, learn from the block
+    `epochs` times in minibatches drawn anew. A network that carries something from step to step
+    learns from worlds' rows of the whole block, the first frame starting from what was carried
+    when it was played. All else as in `Trainer`.
+
+    Args:
+        total_frames: the run's length; a frame is one step of one world with all its robots.
+        frames_per_batch: frames of a block; a multiple of the number of worlds.
+        epochs: how often a block is learnt from.
+        minibatch_frames: frames in one update.
+        log_interval_frames, eval_interval_frames, checkpoint_interval_frames: how often.
+        select_by: the measure on validation houses by which the best weights are chosen.
+        curriculum_stages, curriculum_promote_at, curriculum_window_episodes: see `Curriculum`.
+    """
+
+    def __init__(
+        self,
+        total_frames: PositiveInt,
+        frames_per_batch: PositiveInt,
+        epochs: PositiveInt,
+        minibatch_frames: PositiveInt,
+        log_interval_frames: PositiveInt,
+        eval_interval_frames: PositiveInt,
+        checkpoint_interval_frames: PositiveInt,
+        select_by: Literal["T_90", "T_95", "T_99", "T_100", "finished", "coverage_auc", "return"],
+        curriculum_stages: PositiveInt = 1,
+        curriculum_promote_at: Probability = 0.9,
+        curriculum_window_episodes: PositiveInt = 500,
+    ) -> None:
+        self.total_frames = total_frames
+        self.frames_per_batch = frames_per_batch
+        self.epochs = epochs
+        self.minibatch_frames = minibatch_frames
+        self.log_interval_frames = log_interval_frames
+        self.eval_interval_frames = eval_interval_frames
+        self.checkpoint_interval_frames = checkpoint_interval_frames
+        self.select_by = select_by
+        self.curriculum = curriculum_stages, curriculum_promote_at, curriculum_window_episodes
+
+    def check(self, env: EnvBase) -> None:
+        super().check(env)
+        if self.frames_per_batch % self.minibatch_frames:
+            raise BadInput(
+                f"trainer.minibatch_frames={self.minibatch_frames}: must divide"
+                f" trainer.frames_per_batch={self.frames_per_batch}"
+            )
+
+    def begin(
+        self,
+        env: EnvBase,
+        agent: Agent,
+        evaluate: Evaluate,
+        loggers: list[Logger],
+        checkpoints: Checkpoints,
+    ) -> "OnPolicyRun":
+        return OnPolicyRun(self, env, agent, evaluate, loggers, checkpoints)
+
+
+class OnPolicyRun(Run):
+    """A run that remembers nothing but its last block."""
+
+    def __init__(
+        self,
+        settings: OnPolicy,
+        env: EnvBase,
+        agent: Agent,
+        evaluate: Evaluate,
+        loggers: list[Logger],
+        checkpoints: Checkpoints,
+    ) -> None:
+        super().__init__(settings, env, agent, evaluate, loggers, checkpoints)
+        self.limits = settings
+
+    def learn(self, block: TensorDictBase) -> None:
+        """Learn from the block in minibatches, `epochs` times."""
+        agent = self.agent
+        assert isinstance(agent, Ppo)
+        frames = agent.advantages(block)
+        items = frames if agent.unrolls else frames.flatten()
+        count = len(items) * self.limits.minibatch_frames // self.limits.frames_per_batch
+        measures = []
+        for _ in range(self.limits.epochs):
+            order = torch.randperm(len(items), device=items.device)
+            for chosen in order.split(max(1, count)):
+                measures.append(agent.update(items[chosen]))
+        for name in measures[0]:
+            values = torch.stack([measured[name] for measured in measures])
+            check_finite(values, name, self.updates, self.frames)
+            self.tally.add(name, values)
+        self.updates += len(measures)
+
+    def own_state(self) -> dict[str, Any]:
+        return {}
+
+    def restore_own(self, state: Mapping[str, Any]) -> None:
+        pass
