@@ -6,13 +6,16 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from marl_clean import compose, keys
+from marl_clean.agent.base import Agent
 from marl_clean.agent.iql import Iql
 from marl_clean.build import make_comm as build_comm
 from marl_clean.comm.base import Comm
 from marl_clean.encoder.cnn import Cnn
+from marl_clean.schema import constant, instantiate
 
 CODES = torch.tensor([-1.0, -0.2, 0.0, 0.3, 0.5, 1.0])
 SIDE = 9
+STATE_SHAPE = (1, 1, 2)
 SMALL = {
     "plan": {"hidden": 24, "received": 16},
     "zeroed": {"hidden": 24, "received": 16},
@@ -67,6 +70,22 @@ def make_agent(comm: str = "plan", side: int = SIDE, encoder: Cnn | None = None,
     encoder = encoder or make_encoder(side)
     torch.manual_seed(2)
     return Iql(encoder, make_comm(comm, encoder, side), **(settings | changes))
+
+
+LEARNERS = sorted(path.stem for path in (compose.conf_folder() / "agent").glob("*.yaml"))
+
+
+def make_learner(level: str, comm: str, **changes) -> Agent:
+    """A learner by its yaml, with a small network for two robots."""
+    encoder = make_encoder()
+    section = OmegaConf.load(compose.conf_folder() / "agent" / f"{level}.yaml")
+    section = OmegaConf.create({**section, "precision": "float32"})
+    parts = {"encoder": encoder, "comm": make_comm(comm, encoder), "channels": {}}
+    parts |= {"n_agents": 2, "num_actions": 4}
+    if constant(section["_target_"], "needs_state"):
+        parts["state_shape"] = torch.Size(STATE_SHAPE)
+    torch.manual_seed(2)
+    return instantiate(section, **{**parts, **changes})
 
 
 def frames(count: int, n_agents: int = 2, seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:

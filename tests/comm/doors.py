@@ -8,6 +8,8 @@ without a message it is right half of the time.
 """
 
 import torch
+from tensordict import TensorDict
+from torchrl.data import Binary
 from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
@@ -16,6 +18,7 @@ from marl_clean.agent.base import Agent
 from tests.trainer.probe import N_AGENTS, SIDE, Probe
 
 LEFT, RIGHT = 3, 1
+STATE_SHAPE = (1, 1, 2)  # which door is open
 CELLS = {LEFT: (4, 0), RIGHT: (4, 8)}
 
 
@@ -25,6 +28,14 @@ class Doors(Probe):
     def __init__(self, num_envs: int = 16, seed: int = 0, hold: int = 1):
         self.hold = hold
         super().__init__(num_envs, seed)
+        state = Binary(shape=torch.Size([num_envs, *STATE_SHAPE]), dtype=torch.bool)
+        self.observation_spec[keys.STATE] = state  # for mixers
+
+    def _answer(self, agents: dict, done: torch.Tensor, even: torch.Tensor) -> TensorDict:
+        answer = super()._answer(agents, done, even)
+        left = self.code[:, 0] == 0
+        answer[keys.STATE] = torch.stack([left, ~left], dim=-1).view(-1, *STATE_SHAPE)
+        return answer
 
     def _seen(self) -> dict:
         seen = super()._seen()

@@ -5,10 +5,13 @@ from pathlib import Path
 import pytest
 import torch
 
+from marl_clean.agent.base import Agent
 from marl_clean.channel.delayed import Delayed
 from marl_clean.logger.csv import Csv
+from marl_clean.trainer.base import Trainer
 from marl_clean.trainer.off_policy import OffPolicy
-from tests.agent.parts import make_agent
+from marl_clean.trainer.on_policy import OnPolicy
+from tests.agent.parts import make_agent, make_learner
 from tests.comm.contract import LEVELS, make
 from tests.comm.doors import doors_for, share_right
 
@@ -19,9 +22,67 @@ SILENT = ["none", "zeroed"]
 TALKING = [level for level, _ in LEVELS if level not in SILENT]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("learner", ["vdn", "qmix"])
+def test_mixers_learn_to_talk_too(tmp_path, learner):
+    agent = make_learner(
+        learner, "plan", gamma=0.0, lr=2e-3, lr_end=2e-3, n_steps=1, annealing_fraction=0.6
+    )
+    train_off_policy(agent, tmp_path, hold=1)
+    assert share_right(agent, hold=1) > 0.95
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("learner", "comm"), [("ippo", "plan"), ("mappo", "commnet")])
+def test_policies_that_draw_learn_to_talk_too(tmp_path, learner, comm):
+    agent = make_learner(learner, comm, gamma=0.0, lr=3e-3, lr_end=3e-3)
+    train_on_policy(agent, tmp_path, hold=1)
+    assert share_right(agent, hold=1) > 0.95
+
+
+@pytest.mark.slow
+def test_a_policy_that_draws_guesses_in_silence(tmp_path):
+    agent = make_learner("ippo", "none", gamma=0.0, lr=3e-3, lr_end=3e-3)
+    train_on_policy(agent, tmp_path, hold=1)
+    assert 0.4 <= share_right(agent, hold=1) <= 0.6
+
+
+@pytest.mark.slow
+def test_a_policy_that_draws_hears_late_messages(tmp_path):
+    channels = {"delayed": Delayed(1, False, make("commnet", hidden=24).message_dims)}
+    agent = make_learner("ippo", "commnet", gamma=0.0, lr=3e-3, lr_end=3e-3, channels=channels)
+    train_on_policy(agent, tmp_path, hold=2)
+    assert share_right(agent, hold=2) > 0.95
+
+
 def right_after_training(folder: Path, comm: str, hold: int, **changes) -> float:
     settings = {"gamma": 0.0, "lr": 2e-3, "lr_end": 2e-3, "n_steps": 1, "annealing_fraction": 0.6}
     agent = make_agent(comm, **settings, **changes)
+    train_off_policy(agent, folder, hold)
+    return share_right(agent, hold)
+
+
+def train_on_policy(agent: Agent, folder: Path, hold: int) -> None:
+    trainer = OnPolicy(
+        total_frames=2 * FRAMES,
+        frames_per_batch=192,
+        epochs=4,
+        minibatch_frames=48,
+        log_interval_frames=FRAMES,
+        eval_interval_frames=FRAMES,
+        checkpoint_interval_frames=FRAMES,
+        select_by="return",
+    )
+    run(trainer, agent, folder, hold)
+
+
+def run(trainer: Trainer, agent: Agent, folder: Path, hold: int) -> None:
+    torch.manual_seed(0)
+    guess = {"return": 0.0}
+    trainer.train(doors_for(agent, hold), agent, lambda policy: guess, [Csv(folder)], folder)
+
+
+def train_off_policy(agent: Agent, folder: Path, hold: int) -> None:
     trainer = OffPolicy(
         total_frames=FRAMES,
         frames_per_batch=96,
@@ -35,10 +96,7 @@ def right_after_training(folder: Path, comm: str, hold: int, **changes) -> float
         select_by="return",
         window_frames=4,
     )
-    torch.manual_seed(0)
-    guess = {"return": 0.0}
-    trainer.train(doors_for(agent, hold), agent, lambda policy: guess, [Csv(folder)], folder)
-    return share_right(agent, hold)
+    run(trainer, agent, folder, hold)
 
 
 @pytest.mark.slow

@@ -1,0 +1,242 @@
+"""Every learner of conf/agent with every scheme that fits; each loss against plain arithmetic."""
+
+import copy
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+from tensordict import TensorDict
+from torch.distributions import Categorical
+
+from marl_clean import compose, keys
+from marl_clean.agent.vdn import Vdn
+from marl_clean.deep_q import DeepQ
+from marl_clean.ppo import Ppo
+from marl_clean.schema import constant
+from tests.agent.parts import LEARNERS, STATE_SHAPE, make_learner, transitions
+
+SCHEMES = sorted(path.stem for path in (compose.conf_folder() / "comm").glob("*.yaml"))
+
+
+def fitting() -> list[tuple[str, str]]:
+    pairs = []
+    for learner in LEARNERS:
+        target = OmegaConf.load(compose.conf_folder() / "agent" / f"{learner}.yaml")["_target_"]
+        valid = (constant(target, "fits") or {}).get("comm", SCHEMES)
+        pairs += [(learner, scheme) for scheme in valid]
+    return pairs
+
+
+def batch_for(agent, count: int = 6, seed: int = 0) -> TensorDict:
+    """What the agent learns from; rows of 3 frames if it unrolls."""
+    batch = transitions(count * 3, seed=seed)
+    batch[keys.STATE] = torch.rand(len(batch), *STATE_SHAPE) < 0.5
+    batch["next", keys.STATE] = torch.rand(len(batch), *STATE_SHAPE) < 0.5
+    batch[keys.LOG_PROB] = torch.rand(len(batch), 2).log()
+    batch[keys.ADVANTAGE] = torch.randn(len(batch), 2, 1)
+    batch[keys.VALUE_TARGET] = torch.randn(len(batch), 2, 1)
+    batch[keys.IS_INIT] = torch.rand(len(batch), 1) < 0.3
+    if isinstance(agent, Ppo):
+        names = (*agent.learns_from[: len(agent.network.sees)], keys.ACTION, keys.LOG_PROB)
+        kept = (*names, keys.ADVANTAGE, keys.VALUE_TARGET, keys.IS_INIT)
+    else:
+        kept = (*agent.learns_from, keys.STEPS_TO_NEXT_OBS)
+    network = agent.network
+    for key, spec in (network.state_specs(2) if hasattr(network, "carries") else {}).items():
+        batch[key] = spec.rand([len(batch)])
+        batch["next", key] = spec.rand([len(batch)])
+    batch = batch.select(*kept, strict=False)
+    return batch.view(count, 3) if agent.unrolls else batch
+
+
+@pytest.mark.parametrize(("learner", "scheme"), fitting())
+def test_an_update_learns_the_same_from_the_same_and_goes_on_from_its_state(learner, scheme):
+    torch.manual_seed(3)
+    agent, twin = make_learner(learner, scheme), make_learner(learner, scheme)
+    batch, later = batch_for(agent, seed=0), batch_for(agent, seed=5)
+    before = copy.deepcopy(agent.network.state_dict())
+    torch.manual_seed(4)
+    measured = agent.update(batch.clone())
+    torch.manual_seed(4)
+    assert torch.equal(twin.update(batch.clone())["loss"], measured["loss"])
+    assert all(value.isfinite() for value in measured.values())
+    after = agent.network.state_dict()
+    assert any(not torch.equal(before[name], after[name]) for name in before)
+    other = make_learner(learner, scheme)
+    other.load_state_dict(copy.deepcopy(agent.state_dict()))
+    for one in (agent, other):
+        torch.manual_seed(6)
+        one.update(later.clone())
+    mine, theirs = agent.network.state_dict(), other.network.state_dict()
+    assert all(torch.equal(mine[name], theirs[name]) for name in mine)
+
+
+@pytest.mark.parametrize("learner", LEARNERS)
+def test_a_policy_acts_on_what_robots_see(learner):
+    agent = make_learner(learner, "none" if learner == "central_dqn" else "plan")
+    seen = transitions(5).exclude("next")
+    action = agent.policy()(seen)[keys.ACTION]
+    assert action.shape == (5, 2) and action.dtype == torch.int64 and 0 <= action.min() <= 3
+
+
+def team_loss(agent: Vdn, batch: TensorDict, mixed) -> torch.Tensor:
+    """Double Q of the team's value, written out."""
+    seen = ("observation", "adjacency", "distance_rank")
+    now, then = ([part[keys.AGENTS][name] for name in seen] for part in (batch, batch["next"]))
+    target = copy.deepcopy(agent.network)
+    target.load_state_dict(
+        {n: w for n, w in agent.state_dict()["target"].items() if "mixer_network" not in n}
+    )
+    with torch.no_grad():
+        best = agent.network(*then)[0].argmax(-1, keepdim=True)
+        later = mixed(target(*then)[0].gather(-1, best), batch["next", keys.STATE])
+        goes_on = (~batch["next", "terminated"]).float()
+        reward = batch["next", keys.REWARD][:, 0]  # the sum already, the same for all
+        discount = agent.gamma ** batch[keys.STEPS_TO_NEXT_OBS].unsqueeze(-1)
+        goal = reward + discount * goes_on * later
+    chosen = agent.network(*now)[0].gather(-1, batch[keys.ACTION].unsqueeze(-1))
+    return torch.nn.functional.smooth_l1_loss(mixed(chosen, batch[keys.STATE]), goal)
+
+
+def team_batch() -> TensorDict:
+    batch = transitions(32)
+    batch[keys.STATE] = torch.rand(32, *STATE_SHAPE) < 0.5
+    batch["next", keys.STATE] = torch.rand(32, *STATE_SHAPE) < 0.5
+    reward = batch["next", keys.REWARD]
+    batch["next", keys.REWARD] = reward.sum(1, keepdim=True).expand_as(reward).clone()
+    return batch
+
+
+def moved(learner: str, kind=None) -> DeepQ:
+    """A learner whose target network is no longer its network."""
+    agent = make_learner(learner, "plan", lr=0.03, lr_end=0.03)
+    if kind is not None:
+        agent.__class__ = kind
+    for step in range(3):
+        agent.update(batch_for(agent, seed=step))
+    return agent
+
+
+def test_vdn_adds_values_and_rewards_up():
+    agent, batch = moved("vdn"), team_batch()
+    expected = team_loss(agent, batch, lambda values, state: values.sum(1))
+    torch.testing.assert_close(agent.update(batch)["loss"], expected.detach())
+
+
+def test_qmix_mixes_by_the_state():
+    agent, batch = moved("qmix"), team_batch()
+    mixer = copy.deepcopy(agent.mixer.module)
+    online = dict(mixer.named_parameters())
+    held = {
+        n.removeprefix("mixer_network.module."): w
+        for n, w in agent.state_dict()["target"].items()
+        if "mixer_network" in n
+    }
+    assert held.keys() == online.keys()
+
+    def mixed(values, state):
+        # The next frame is mixed by the target mixer: told apart by whose values have no gradient.
+        weights = online if values.requires_grad else held
+        return torch.func.functional_call(mixer, weights, (values, state.float()))
+
+    expected = team_loss(agent, batch, mixed).detach()
+    torch.testing.assert_close(agent.update(batch)["loss"], expected)
+
+
+def test_mixing_is_monotonous():
+    agent = moved("qmix")
+    values = torch.randn(20, 2, 1, requires_grad=True)
+    state = (torch.rand(20, *STATE_SHAPE) < 0.5).float()
+    (grad,) = torch.autograd.grad(agent.mixer.module(values, state).sum(), values)
+    assert (grad >= 0).all() and grad.any()
+
+
+class MeanOfRewards(Vdn):
+    def for_loss(self, frames):
+        super().for_loss(frames)
+        frames["next", "reward"] = frames["next", "reward"] / self.n_agents
+
+
+class NeverEnds(Vdn):
+    def for_loss(self, frames):
+        super().for_loss(frames)
+        frames["next", "terminated"] = torch.zeros_like(frames["next", "terminated"])
+
+
+class ChosenByTheTarget(Vdn):
+    def update(self, batch):
+        self._loss.double = False
+        return super().update(batch)
+
+
+@pytest.mark.parametrize("defect", [MeanOfRewards, NeverEnds, ChosenByTheTarget])
+def test_planted_defects_of_the_team_value_are_seen(defect):
+    agent, batch = moved("vdn", defect), team_batch()
+    expected = team_loss(agent, batch, lambda values, state: values.sum(1)).detach()
+    assert not torch.allclose(agent.update(batch)["loss"], expected)
+
+
+def block_of_one_world() -> tuple[list, list, list, TensorDict]:
+    """Five steps: cut off after the second, ended after the fourth."""
+    rewards = [[1.0, -1.0], [0.5, 2.0], [0.0, 1.0], [3.0, 0.0], [-1.0, 1.0]]
+    terminated = [False, False, False, True, False]
+    done = [False, True, False, True, False]
+    block = transitions(5)
+    block["next", keys.REWARD] = torch.tensor(rewards).unsqueeze(-1)
+    block["next", keys.DONE] = torch.tensor(done).unsqueeze(-1)
+    block["next", keys.TERMINATED] = torch.tensor(terminated).unsqueeze(-1)
+    block[keys.LOG_PROB] = torch.rand(5, 2).log()
+    return rewards, terminated, done, block.unsqueeze(0)
+
+
+@pytest.mark.parametrize("learner", ["ippo", "mappo"])
+def test_advantages_bootstrap_what_is_cut_and_not_what_ends(learner):
+    agent = make_learner(learner, "plan")
+    rewards, terminated, done, block = block_of_one_world()
+    found = agent.advantages(block)
+    with torch.no_grad():
+        value = agent.critic(block[keys.OBSERVATION])[0, :, :, 0].tolist()
+        later = agent.critic(block["next", keys.OBSERVATION])[0, :, :, 0].tolist()
+    gamma, lmbda = agent.gamma, 0.9
+    for robot in range(2):
+        advantage = 0.0
+        for t in reversed(range(5)):
+            bootstrap = 0.0 if terminated[t] else gamma * later[t][robot]
+            delta = rewards[t][robot] + bootstrap - value[t][robot]
+            advantage = delta + (0.0 if done[t] else gamma * lmbda * advantage)
+            assert found[keys.ADVANTAGE][0, t, robot, 0].item() == pytest.approx(
+                advantage, abs=1e-5
+            )
+            target = found[keys.VALUE_TARGET][0, t, robot, 0].item()
+            assert target == pytest.approx(advantage + value[t][robot], abs=1e-5)
+
+
+def clipped_loss(agent: Ppo, batch: TensorDict, epsilon: float = 0.2) -> torch.Tensor:
+    """PPO's loss, written out."""
+    logits = agent.network(*(batch[key] for key in agent.network.sees))[0]
+    drawn = Categorical(logits=logits)
+    ratio = (drawn.log_prob(batch[keys.ACTION]) - batch[keys.LOG_PROB]).exp().unsqueeze(-1)
+    advantage = batch[keys.ADVANTAGE]
+    gain = torch.minimum(ratio * advantage, ratio.clamp(1 - epsilon, 1 + epsilon) * advantage)
+    value = agent.critic(batch[keys.OBSERVATION])
+    critic = torch.nn.functional.smooth_l1_loss(value, batch[keys.VALUE_TARGET])
+    return -gain.mean() + 0.5 * critic - 0.01 * drawn.entropy().mean()
+
+
+@pytest.mark.parametrize("learner", ["ippo", "mappo"])
+def test_the_clipped_loss_by_hand(learner):
+    agent = make_learner(learner, "plan", normalize_advantage=False)
+    batch = batch_for(agent, count=10)
+    expected = clipped_loss(agent, batch).detach()
+    assert not torch.allclose(expected, clipped_loss(agent, batch, epsilon=1e9).detach())
+    torch.testing.assert_close(agent.update(batch.clone())["loss"], expected)
+
+
+def test_only_the_central_critic_knows_what_others_see():
+    observation = transitions(4)[keys.OBSERVATION]
+    other = observation.clone()
+    other[:, 1] = observation.flip(0)[:, 1]
+    for learner, knows in (("ippo", False), ("mappo", True)):
+        critic = make_learner(learner, "plan").critic
+        same = torch.equal(critic(observation)[:, 0], critic(other)[:, 0])
+        assert same is not knows
