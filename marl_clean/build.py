@@ -45,6 +45,7 @@ def make_env(
     house_order: HouseOrder = HouseOrder.RANDOM,
     never_stuck: bool = False,
     first_env: int = 0,
+    seeded: bool = False,
 ) -> TransformedEnv:
     """Put env, topology, observation and reward together; for a task of others see `make_task`.
 
@@ -55,6 +56,7 @@ def make_env(
         house_order: whether episodes draw their house, or env i plays house i.
         never_stuck: without truncation when nothing new is cleaned, as evaluation plays.
         first_env: index of the first world; what is drawn in a world depends on its index.
+        seeded: frames hold draws for channels, whether or not the config's channel draws.
     """
     if not plays_houses(cfg):
         return make_task(cfg, num_envs, first_env)
@@ -75,7 +77,7 @@ def make_env(
         **changes,
     )
     told = [GlobalState()] if constant(cfg.agent._target_, "needs_state") else []
-    transforms = (topology, observation, *told, *draws(cfg), *payment(cfg))
+    transforms = (topology, observation, *told, *draws(cfg, seeded), *payment(cfg))
     return TransformedEnv(env, Compose(*transforms))
 
 
@@ -97,9 +99,9 @@ def make_task(cfg: DictConfig, num_envs: int | None = None, first_env: int = 0) 
     return TransformedEnv(env, Compose(*draws(cfg), *payment(cfg)))
 
 
-def draws(cfg: DictConfig) -> list[Transform]:
-    """Build what draws for the channel, where it draws at all."""
-    drawing = any(channel.draws for channel in make_channels(cfg, ()).values())
+def draws(cfg: DictConfig, seeded: bool = False) -> list[Transform]:
+    """Build what draws for the channel, where it draws at all or is to."""
+    drawing = seeded or any(channel.draws for channel in make_channels(cfg, ()).values())
     return [ChannelSeed()] if drawing else []
 
 

@@ -19,6 +19,7 @@ from marl_clean.errors import BadInput
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
+INTERVENE = "intervention="  # of evaluate: not a setting of the config, and may be a list
 BAD_INPUT, INTERRUPTED, TERMINATED = 2, 128 + signal.SIGINT, 128 + signal.SIGTERM
 
 
@@ -46,20 +47,25 @@ def train(arguments: argparse.Namespace) -> int:
 
 
 def evaluate(arguments: argparse.Namespace) -> int:
-    """measure checkpoint=RUN or planner=NAME on held-out houses or on a plan"""
+    """measure checkpoint=RUN or planner=NAME on held-out houses or on a plan; intervention=all"""
     from marl_clean.checks import check_out
     from marl_clean.compose import config_hash
     from marl_clean.stored import RUNS, compose_for_policy
 
-    config = _checked(compose_for_policy(arguments.settings))
+    asked = [text.partition("=")[2] for text in arguments.settings if text.startswith(INTERVENE)]
+    settings = [text for text in arguments.settings if not text.startswith(INTERVENE)]
+    config = _checked(compose_for_policy(settings))
+    if asked and config.checkpoint is None:
+        raise BadInput(f"{INTERVENE}{asked[-1]}: needs checkpoint=RUN, whose messages to change")
     name = config.name
-    if config.checkpoint is not None and len(arguments.settings) > 1:  # measured elsewhere
+    if config.checkpoint is not None and len(settings) > 1:  # measured elsewhere
         name = f"{name}-{config_hash(config)[:8]}"
     out = Path(config.out or RUNS / "evaluate" / name / "evaluation.json")
     check_out(out)
     from marl_clean import evaluate as command
+    from marl_clean.evaluation.interventions import named
 
-    command.main(config, out)
+    command.main(config, out, interventions=named(asked[-1]) if asked else ())
     return 0
 
 
@@ -97,6 +103,14 @@ def compare(arguments: argparse.Namespace) -> int:
     from marl_clean import compare as command
 
     command.main(arguments.runs, arguments.out, against=arguments.against)
+    return 0
+
+
+def matrix(arguments: argparse.Namespace) -> int:
+    """policies trained over one channel, measured over others: a matrix and its figure"""
+    from marl_clean import matrix as command
+
+    command.main(arguments.runs, arguments.channel or (), arguments.houses, arguments.out)
     return 0
 
 
@@ -140,11 +154,12 @@ COMMANDS = {
     "watch": watch,
     "figure": figure,
     "compare": compare,
+    "matrix": matrix,
     "benchmark": benchmark,
     "list": list_levels,
     "doctor": doctor,
 }
-WITHOUT_SETTINGS = ("list", "doctor", "compare")
+WITHOUT_SETTINGS = ("list", "doctor", "compare", "matrix")
 USAGE = """\
 marl-clean COMMAND [key=value ...]
 
@@ -211,6 +226,16 @@ def _parser(name: str) -> Parser:
         parser.add_argument(
             "--against", metavar="ROW", help="the row that others are held against: its label"
         )
+    if name == "matrix":
+        parser.add_argument("runs", metavar="RUN", nargs="+", help="folders of runs")
+        parser.add_argument(
+            "--channel",
+            metavar="STACK",
+            action="append",
+            help="to measure over, such as lossy(loss=0.5),quantised; several; else the runs' own",
+        )
+        parser.add_argument("--houses", type=int, help="how many test houses")
+        parser.add_argument("--out", type=Path, help="where to write the cells as json")
     if name not in WITHOUT_SETTINGS:
         parser.add_argument("settings", metavar="key=value", nargs="*", help="Hydra overrides")
     return parser

@@ -31,6 +31,8 @@ CHANNEL_SEED = (AGENTS, "channel_seed")  # *B n int64 in [0, 2^32): for what a c
 INBOX = (AGENTS, "inbox")  # *B n age number float32: messages under way, and whom they reach
 OUTBOX = (AGENTS, "outbox")  # the same, of a scheme whose messages are heard later by definition
 BURST = (AGENTS, "burst")  # *B n n bool, [i, j]: the way from j to i is in a burst of losses
+FROZEN = (AGENTS, "frozen")  # *B n number float32: first messages, while evaluation freezes them
+LATE = (AGENTS, "late")  # as inbox, while evaluation delays messages
 HIDDEN = (AGENTS, "hidden")  # *B n d float32: a recurrent encoder's memory
 IS_INIT = "is_init"  # *B 1 bool: the first frame of an episode
 

@@ -67,8 +67,17 @@ class RobotsNetwork(nn.Module):
             ways = {"later": Later(comm.delay_steps, tuple(comm.message_dims)), **ways}
         self.channel = nn.ModuleDict(ways if comm.rounds else {})
         self.ways: list[Channel] = list(self.channel.values())  # type: ignore[arg-type]
+        self._look_through()
+
+    def put_behind(self, way: Channel) -> None:
+        """Let messages cross one more channel, nearest to the hearer; nothing of it is kept."""
+        self.ways.append(way)
+        self._look_through()
+
+    def _look_through(self) -> None:
+        """Find out what the channels need of a frame."""
         self.draws = any(way.draws for way in self.ways)
-        memory = () if encoder.memory is None else (keys.HIDDEN,)
+        memory = () if self.encoder.memory is None else (keys.HIDDEN,)
         self.carries = (*memory, *(way.remembers for way in self.ways if way.remembers is not None))
         drawn = (keys.CHANNEL_SEED,) if self.draws else ()
         self.sees = (keys.OBSERVATION, keys.ADJACENCY, keys.DISTANCE_RANK, *drawn, *self.carries)

@@ -7,13 +7,12 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
-from torch import nn
-from torchrl.envs import TransformedEnv
 
 from marl_clean import build, files
 from marl_clean.compose import compose_config, plays_houses
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.evaluator import (
+    as_ever,
     measure,
     measure_beside_planners,
     measure_planner,
@@ -99,18 +98,13 @@ def measure_all(cfg: DictConfig, folder: Path) -> list[Entry]:
     for place, house_set in places(cfg):
         mine, *planners = measure_beside_planners(place, policies[cfg.name], cfg.name)
         before = [
-            measure(place, partial(_as_ever, policy), name, epsilon=place.evaluation.epsilon)
+            measure(place, partial(as_ever, policy), name, epsilon=place.evaluation.epsilon)
             for name, policy in policies.items()
             if name != cfg.name
         ]
         found = [mine, *before, *planners]
         entries += [{**entry, "house_set": house_set or entry["house_set"]} for entry in found]
     return entries
-
-
-def _as_ever(policy: nn.Module, env: TransformedEnv) -> nn.Module:
-    """The policy for an env: a network is the same in all."""
-    return policy
 
 
 def places(cfg: DictConfig) -> list[tuple[DictConfig, str | None]]:

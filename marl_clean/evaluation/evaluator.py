@@ -51,12 +51,14 @@ def evaluate(
     epsilon: float = 0.0,
     certify: bool = False,
     optimum: bool = False,
+    seeded: bool = False,
 ) -> list[Record]:
     """Play the first `count` houses of a split once each; a loaded plan is started as often.
 
     Returns one record a house, with its seed or path: every measure, its bounds and its size.
     `epsilon` is the share of random actions, drawn for each robot. With `optimum` the proven
     least T_100 is looked for first, which takes up to a minute a house, once in a process.
+    `seeded`: frames hold draws for channels, whether or not the config's own channel draws.
     """
     houses = build.held_out_houses(cfg, house_set, count)
     cells = houses.free.shape[1] * houses.free.shape[2]
@@ -64,7 +66,7 @@ def evaluate(
     records = []
     for first in range(0, count, at_once):
         num_envs = min(at_once, count - first)
-        env = held_out_env(cfg, houses, house_set, num_envs, first)
+        env = held_out_env(cfg, houses, house_set, num_envs, first, seeded)
         played = play(env, policy_for(env), epsilon, certify, optimum)
         for index, record in enumerate(played, start=first):
             source = houses.sources[index % len(houses)]
@@ -73,7 +75,12 @@ def evaluate(
 
 
 def held_out_env(
-    cfg: DictConfig, houses: Houses, house_set: str, num_envs: int, first: int = 0
+    cfg: DictConfig,
+    houses: Houses,
+    house_set: str,
+    num_envs: int,
+    first: int = 0,
+    seeded: bool = False,
 ) -> TransformedEnv:
     """The env of held-out houses `first`, `first + 1`, ...: house i is environment i.
 
@@ -86,6 +93,7 @@ def held_out_env(
         first_env=first,
         house_order=HouseOrder.FIXED,
         never_stuck=True,
+        seeded=seeded,
     )
     env.set_seed(START_SEEDS[house_set])
     return env
@@ -110,7 +118,14 @@ def validate(cfg: DictConfig, policy: nn.Module) -> dict[str, float]:
     return means(records)
 
 
-def measure(cfg: DictConfig, policy_for: PolicyFor, name: str, *, epsilon: float = 0.0) -> Entry:
+def measure(
+    cfg: DictConfig,
+    policy_for: PolicyFor,
+    name: str,
+    *,
+    epsilon: float = 0.0,
+    seeded: bool = False,
+) -> Entry:
     """One entry of evaluation.json: a policy on the houses that `cfg.evaluation` asks for."""
     section = cfg.evaluation
     records = evaluate(
@@ -121,6 +136,7 @@ def measure(cfg: DictConfig, policy_for: PolicyFor, name: str, *, epsilon: float
         epsilon=epsilon,
         certify=section.certify,
         optimum=section.get("optimum", False),
+        seeded=seeded,
     )
     generated = instantiate(cfg.house).generated
     house_set = section.house_set if generated else str(records[0]["path"])
@@ -218,6 +234,11 @@ def with_random_actions(
     )
     explores = random_bits(*words, 0) < round(epsilon * 2**32)
     return torch.where(explores, random_below(4, *words, 1), action)
+
+
+def as_ever(policy: nn.Module, env: TransformedEnv) -> nn.Module:
+    """The policy for an env: a network is the same in all."""
+    return policy
 
 
 def source_key(source: int | str) -> str:

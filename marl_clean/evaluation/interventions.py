@@ -1,0 +1,142 @@
+"""What if messages were others? Changes to a trained policy's messages, put behind its channel.
+
+Each is a channel nearest to the hearer: what is sent, and what it costs, stays as it is. None is
+to be trained with. Source of the question: arXiv 1903.05168.
+"""
+
+import copy
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+from torchrl.data import TensorSpec, Unbounded
+
+from marl_clean import keys
+from marl_clean.acting import Greedy
+from marl_clean.channel.base import Channel, Dims, Salt, Step
+from marl_clean.channel.delayed import Later
+from marl_clean.errors import BadInput
+from marl_clean.schema import choices
+
+Message = Float[Tensor, "*batch agent message"]
+Edges = Bool[Tensor, "*batch agent other"]
+
+
+class Zero(Channel):
+    """Hear zeros, over the same edges."""
+
+    def carry(self, message: Message, edges: Edges, turn: int, step: Step) -> tuple[Message, Edges]:
+        return torch.zeros_like(message), edges
+
+
+class Shuffle(Channel):
+    """Hear another's message: of another robot, of this world or another, in the same step.
+
+    All robots still playing stand in a row drawn anew each step, and of each is heard what the one
+    `shift` places on says; never its own, where there is another.
+    """
+
+    draws = True
+
+    def __init__(self, shift: int = 1) -> None:
+        super().__init__()
+        self.shift = shift
+
+    def carry(self, message: Message, edges: Edges, turn: int, step: Step) -> tuple[Message, Edges]:
+        words = torch.zeros(1, dtype=torch.int64, device=message.device)
+        order = step.bits(Salt.ORDER, words).flatten().argsort()
+        shift = 1 + (self.shift - 1) % max(1, len(order) - 1)
+        others = torch.empty_like(order)
+        others[order] = order.roll(-shift)
+        return message.flatten(0, -2)[others].view_as(message), edges
+
+
+class Freeze(Channel):
+    """Hear of each robot what it said in the first step of the episode."""
+
+    remembers = keys.FROZEN
+
+    def carry(self, message: Message, edges: Edges, turn: int, step: Step) -> tuple[Message, Edges]:
+        assert step.state is not None
+        start = sum(passed.shape[-1] for passed, _ in step.passed[:-1])
+        first = step.state[..., start : start + message.shape[-1]]
+        return torch.where(step.state[..., -1:] > 0, first, message), edges
+
+    def state_spec(self, n_agents: int, message_dims: Dims) -> TensorSpec:
+        return Unbounded(shape=(n_agents, sum(message_dims) + 1))
+
+    def state_after(self, step: Step) -> Tensor:
+        assert step.state is not None
+        said = torch.cat([message for message, _ in step.passed], dim=-1)
+        said = torch.cat([said, torch.ones_like(said[..., :1])], dim=-1)
+        return torch.where(step.state[..., -1:] > 0, step.state, said)
+
+
+class Noise(Channel):
+    """Hear each number with Gaussian noise as large as it varies itself, between robots now."""
+
+    draws = True
+
+    def carry(self, message: Message, edges: Edges, turn: int, step: Step) -> tuple[Message, Edges]:
+        std = message.flatten(0, -2).std(0, correction=0)
+        noise = step.normal(Salt.NOISE, message.shape[-1], turn)
+        return message + std * noise.to(message.dtype), edges
+
+
+class Late(Later):
+    """Hear every message a step later than it would have come."""
+
+    remembers = keys.LATE
+
+
+class Open(Channel):
+    """Hear everybody, in contact or not."""
+
+    def carry(self, message: Message, edges: Edges, turn: int, step: Step) -> tuple[Message, Edges]:
+        itself = torch.eye(edges.shape[-1], dtype=torch.bool, device=edges.device)
+        return message, (~itself).expand(edges.shape)
+
+
+class Shut(Channel):
+    """Hear nobody."""
+
+    def carry(self, message: Message, edges: Edges, turn: int, step: Step) -> tuple[Message, Edges]:
+        return message, torch.zeros_like(edges)
+
+
+INTERVENTIONS: dict[str, Callable[[Dims], Channel]] = {
+    "zero": lambda dims: Zero(),
+    "shuffle": lambda dims: Shuffle(),
+    "freeze": lambda dims: Freeze(),
+    "noise": lambda dims: Noise(),
+    "delay": lambda dims: Late(1, dims),
+    "open": lambda dims: Open(),
+    "shut": lambda dims: Shut(),
+}
+
+
+def named(text: str) -> list[str]:
+    """The interventions that `zero,shut` or `all` asks for. Raises BadInput on another."""
+    names = [name.strip() for name in text.strip("[]").split(",")]
+    if names == ["all"]:
+        return list(INTERVENTIONS)
+    for name in names:
+        if name not in INTERVENTIONS:
+            valid = choices(name, [*INTERVENTIONS, "all"])
+            raise BadInput(f"intervention={name}: no such intervention; {valid}")
+    return list(dict.fromkeys(names))
+
+
+def talking(policy: nn.Module, name: str) -> Greedy:
+    """The policy as one whose robots talk. Raises BadInput where they do not."""
+    if not isinstance(policy, Greedy) or policy.network.comm.rounds == 0:
+        raise BadInput(f"checkpoint={name}: its robots say nothing, so there is nothing to change")
+    return policy
+
+
+def intervened(policy: Greedy, way: Callable[[Dims], Channel]) -> Greedy:
+    """The same policy, hearing through one more channel."""
+    network = copy.deepcopy(policy.network)
+    network.put_behind(way(tuple(network.comm.message_dims)))
+    return Greedy(network, policy.n_agents, plays=True, tells=True).eval()

@@ -1,0 +1,105 @@
+"""Does anybody listen? How far what robots want to do depends on what they hear.
+
+Reward that comes with messages does not show that they are heard (arXiv 1903.05168); so in the
+states that a policy meets, what it hears is replaced and its action values are looked at, before
+anything is done. Only robots count that hear somebody.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from omegaconf import DictConfig
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+
+from marl_clean import build, keys
+from marl_clean.acting import Greedy
+from marl_clean.evaluation.evaluator import held_out_env, with_random_actions
+from marl_clean.evaluation.interventions import Shuffle, Zero, intervened
+from marl_clean.evaluation.statistics import estimate
+
+TEMPERATURE = 1.0  # of the policies that values are turned into, in units of reward
+MESSAGES = 8  # other messages, by which the influence of messages is estimated
+
+
+def listening(cfg: DictConfig, policy: Greedy, count: int, epsilon: float) -> dict[str, Any]:
+    """Play the held-out houses untouched and return what would change, with intervals over houses.
+
+        moved:    mean over actions of |Q' - Q| / (max Q - min Q), Q' of a replaced message
+        switched: share of states in which the best action is another
+        kl:       KL(p || p'), p = softmax(Q / temperature)
+        cic:      mean over k of KL(p_k || mean of p_1 ... p_K): the information, in nats, between
+                  message and action, were the message drawn from what the robots say in that step
+
+    The first three for messages replaced by zeros and by another's, cic over K = 8 others'.
+    Source: arXiv 1903.05168; there messages are symbols that can be counted, here they are drawn.
+    """
+    houses = build.held_out_houses(cfg, cfg.evaluation.house_set, count)
+    env = held_out_env(cfg, houses, cfg.evaluation.house_set, count, seeded=True)
+    zeros = intervened(policy, lambda dims: Zero())
+    others = [intervened(policy, partial(_shuffle, k)) for k in range(1, MESSAGES + 1)]
+    sums: dict[str, Tensor] = {}
+    heard = torch.zeros(count, dtype=torch.float64, device=env.device)
+    playing = torch.ones(count, dtype=torch.bool, device=env.device)
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        td = env.reset()
+        while playing.any():
+            hears = td[keys.ADJACENCY].any(-1) & playing[:, None]
+            replaced = [one(td.clone())[keys.ACTION_VALUE] for one in (zeros, *others)]
+            td = policy(td)
+            found = differences_of(td[keys.ACTION_VALUE], replaced[0], replaced[1:])
+            heard += hears.sum(1)
+            for name, value in found.items():
+                of_houses = torch.where(hears, value, 0.0).sum(1)
+                sums[name] = sums.get(name, 0.0) + of_houses
+            td[keys.ACTION] = with_random_actions(env.base_env, td[keys.ACTION], epsilon)
+            td = env.step(td)
+            playing &= ~td["next", keys.DONE].flatten()
+            td = step_mdp(td)
+    means = {name: (total / heard).cpu().numpy() for name, total in sums.items()}  # NaN: unheard
+    return {
+        "temperature": TEMPERATURE,
+        "messages": MESSAGES,
+        **{name: _told(values) for name, values in means.items()},
+    }
+
+
+def differences_of(
+    value: Float[Tensor, "env agent action"],
+    zeros: Float[Tensor, "env agent action"],
+    others: Sequence[Float[Tensor, "env agent action"]],
+) -> dict[str, Float[Tensor, "env agent"]]:
+    """What replaced messages do to the action values, robot by robot."""
+    found = {}
+    chance = _policy(value)
+    spread = (value.amax(-1) - value.amin(-1)).clamp(min=1e-8)
+    for name, other in (("zero", zeros), ("shuffle", others[0])):
+        found[f"{name}_moved"] = (other - value).abs().mean(-1) / spread
+        found[f"{name}_switched"] = (other.argmax(-1) != value.argmax(-1)).to(value.dtype)
+        found[f"{name}_kl"] = _divergence(chance, _policy(other))
+    drawn = torch.stack([_policy(other) for other in others])
+    found["cic"] = _divergence(drawn, drawn.mean(0).expand_as(drawn)).mean(0)
+    return {name: values.double() for name, values in found.items()}
+
+
+def _policy(value: Float[Tensor, "*batch action"]) -> Float[Tensor, "*batch action"]:
+    return (value.double() / TEMPERATURE).softmax(-1)
+
+
+def _divergence(
+    p: Float[Tensor, "*batch action"], q: Float[Tensor, "*batch action"]
+) -> Float[Tensor, "*batch"]:
+    return (p * (p.clamp(min=1e-12) / q.clamp(min=1e-12)).log()).sum(-1)
+
+
+def _shuffle(shift: int, dims: tuple[int, ...]) -> Shuffle:
+    return Shuffle(shift)
+
+
+def _told(values: Float[np.ndarray, " house"]) -> dict[str, Any]:
+    found = estimate(values[None])
+    return {"mean": found.mean, "ci95": None if found.ci95 is None else list(found.ci95)}
