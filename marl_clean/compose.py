@@ -247,6 +247,9 @@ def _check_level(override: Override) -> None:
     wanted = value if isinstance(value, list) and override.key_or_group in SEVERAL else [value]
     if override.key_or_group in PRESETS and value is None:
         return
+    if len({str(level) for level in wanted}) < len(wanted):
+        text = override.get_value_element_as_str()
+        raise BadInput(f"{override.key_or_group}={text}: names a level twice; once is valid")
     for level in wanted:
         if not isinstance(level, str) or level not in levels:
             text = override.get_value_element_as_str()
@@ -265,6 +268,10 @@ def _unreadable(text: str) -> str:
 def _unknown(key: str, known: Mapping[str, Any]) -> str:
     """The message for a key that the config does not have."""
     parent, _, last = key.rpartition(".")
+    room, _, level = parent.partition(".")
+    if room in SEVERAL and level in rooms()[room] and level not in known[room]:
+        taken = ",".join(known[room])
+        return f"{key}: {level} is not in {room}=[{taken}]; take it, as in {room}=[{taken},{level}]"
     siblings = [
         k.removeprefix(f"{parent}.") if parent else k
         for k in _keys(known)

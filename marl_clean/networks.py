@@ -46,7 +46,7 @@ class RobotsNetwork(nn.Module):
         sees: where a frame holds what `forward` takes, in its order.
         carries: the keys among them that it makes itself for the next step: a robot's memory,
             messages under way, the channel's state. An episode begins with zeros.
-        unrolls: gradients cross steps, so it learns from frames in a row.
+        history: how many steps gradients go back at least; then it learns from frames in a row.
     """
 
     def __init__(
@@ -69,6 +69,11 @@ class RobotsNetwork(nn.Module):
         self.ways: list[Channel] = list(self.channel.values())  # type: ignore[arg-type]
         self._look_through()
 
+    @property
+    def unrolls(self) -> bool:
+        """Whether it learns from frames in a row."""
+        return self.history > 0
+
     def put_behind(self, way: Channel) -> None:
         """Let messages cross one more channel, nearest to the hearer; nothing of it is kept."""
         self.ways.append(way)
@@ -81,7 +86,7 @@ class RobotsNetwork(nn.Module):
         self.carries = (*memory, *(way.remembers for way in self.ways if way.remembers is not None))
         drawn = (keys.CHANNEL_SEED,) if self.draws else ()
         self.sees = (keys.OBSERVATION, keys.ADJACENCY, keys.DISTANCE_RANK, *drawn, *self.carries)
-        self.unrolls = bool(memory) or any(way.holds_messages for way in self.ways)
+        self.history = max(len(memory), sum(way.steps_late for way in self.ways))
 
     def state_specs(self, n_agents: int) -> dict[NestedKey, TensorSpec]:
         """Return the spec of each key of `carries`, without batch."""

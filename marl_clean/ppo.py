@@ -185,8 +185,8 @@ class Ppo(Agent):
         return ProbabilisticTensorDictSequential(Logits(self.network, plays).eval(), draw)
 
     @property
-    def unrolls(self) -> bool:
-        return self.network.unrolls
+    def history(self) -> int:
+        return self.network.history
 
     def primer(self) -> TensorDictPrimer | None:
         network = self.network

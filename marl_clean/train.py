@@ -62,7 +62,7 @@ def train(cfg: DictConfig, folder: Path) -> Outcome:
     env = build.ready_for(agent, env)
     only = {} if plays_houses(cfg) else {"select_by": "return"}  # all that is measured there
     trainer = instantiate(cfg.trainer, **only)
-    trainer.check(env)
+    trainer.check(env, agent)
     if cfg.checkpoint is not None:  # a run that goes on puts its state over these weights
         build.start_from(agent, cfg)
     loggers = [instantiate(section, folder=folder) for section in cfg.logger.values()]

@@ -37,12 +37,18 @@ class Agent(ABC):
         """Keys of a frame that learning needs; under "next", of the frame after."""
 
     @property
+    def history(self) -> int:
+        """How many steps gradients have to go back, since something is carried from one to the
+        next that is learnt."""
+        return 0
+
+    @property
     def unrolls(self) -> bool:
-        """Whether it learns from frames in a row, since something is carried from one to the next.
+        """Whether it learns from frames in a row.
 
         Then `update` takes `[window, time]` frames, with the first frames of episodes marked.
         """
-        return False
+        return self.history > 0
 
     def primer(self) -> Transform | None:
         """Return the transform by which episodes begin with nothing carried; None: none needed."""

@@ -58,8 +58,8 @@ class Iql(DeepQ):
         return self.network.sees
 
     @property
-    def unrolls(self) -> bool:
-        return self.network.unrolls
+    def history(self) -> int:
+        return self.network.history
 
     def primer(self) -> TensorDictPrimer | None:
         network = self.network

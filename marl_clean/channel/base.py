@@ -70,13 +70,13 @@ class Channel(nn.Module):
         draws: it needs seeds.
         bits_per_number: what a number costs on this way; None: as it came.
         remembers: where what it carries from step to step stands in a frame; None: nowhere.
-        holds_messages: what it carries was made by the network, so gradients cross steps.
+        steps_late: after how many steps its messages may be heard, so many do gradients go back.
     """
 
     draws: bool = False
     bits_per_number: int | None = None
     remembers: NestedKey | None = None
-    holds_messages: bool = False
+    steps_late: int = 0
 
     def address(
         self,

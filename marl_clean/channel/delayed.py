@@ -17,12 +17,11 @@ class Later(Channel):
     sender and age 1 ... steps its message, all rounds side by side, and which robots it reaches.
     """
 
-    holds_messages = True
     remembers = keys.OUTBOX
 
     def __init__(self, steps: int, message_dims: Dims) -> None:
         super().__init__()
-        self.steps = steps
+        self.steps = self.steps_late = steps
         self.words = sum(message_dims)
         starts = [sum(message_dims[:turn]) for turn in range(len(message_dims))]
         self.parts = [slice(a, a + b) for a, b in zip(starts, message_dims, strict=True)]

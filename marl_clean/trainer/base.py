@@ -65,8 +65,18 @@ class Trainer(ABC):
     ) -> "Run":
         """Return the live parts of a run that has not played yet."""
 
-    def check(self, env: EnvBase) -> None:
-        """Raise BadInput where a setting does not fit the env."""
+    @abstractmethod
+    def longest_row(self, env: EnvBase) -> tuple[str, int]:
+        """Return how many frames of one world are learnt from in a row, and the setting's name."""
+
+    def check(self, env: EnvBase, agent: Agent) -> None:
+        """Raise BadInput where a setting does not fit the env or the agent."""
+        key, row = self.longest_row(env)
+        if agent.history >= row:
+            raise BadInput(
+                f"trainer.{key}: {row} frames in a row, but what is learnt goes {agent.history}"
+                f" steps back (memory, delayed messages); at least {agent.history + 1} are valid"
+            )
         num_envs = env.batch_size.numel()
         if self.frames_per_batch % num_envs:
             near = max(1, self.frames_per_batch // num_envs) * num_envs
@@ -99,7 +109,7 @@ class Trainer(ABC):
         final = checkpoints.newest("final")
         if final is not None:
             return Outcome(final.frames, final.notes["updates"], final.notes["best"], True)
-        self.check(env)
+        self.check(env, agent)
         run = self.begin(env, agent, evaluate, list(loggers), checkpoints)
         run.resume()
         with Interrupts() as interrupts, Progress(self.total_frames, run.frames) as progress:

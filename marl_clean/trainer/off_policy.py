@@ -69,14 +69,17 @@ class OffPolicy(Trainer):
         self.window_frames = window_frames
         self.curriculum = curriculum_stages, curriculum_promote_at, curriculum_window_episodes
 
-    def check(self, env: EnvBase) -> None:
+    def longest_row(self, env: EnvBase) -> tuple[str, int]:
+        return "window_frames", self.window_frames
+
+    def check(self, env: EnvBase, agent: Agent) -> None:
         for key in ("buffer_frames", "batch_frames"):
             if getattr(self, key) < self.window_frames:
                 raise BadInput(
                     f"trainer.{key}={getattr(self, key)}: must hold at least"
                     f" trainer.window_frames={self.window_frames}"
                 )
-        super().check(env)
+        super().check(env, agent)
 
     def begin(
         self,

@@ -59,8 +59,11 @@ class OnPolicy(Trainer):
         self.select_by = select_by
         self.curriculum = curriculum_stages, curriculum_promote_at, curriculum_window_episodes
 
-    def check(self, env: EnvBase) -> None:
-        super().check(env)
+    def longest_row(self, env: EnvBase) -> tuple[str, int]:
+        return "frames_per_batch", self.frames_per_batch // env.batch_size.numel()
+
+    def check(self, env: EnvBase, agent: Agent) -> None:
+        super().check(env, agent)
         if self.frames_per_batch % self.minibatch_frames:
             raise BadInput(
                 f"trainer.minibatch_frames={self.minibatch_frames}: must divide"

@@ -1,0 +1,330 @@
+"""Every level of conf/channel and some stacks hold the contract; each does what it says, by law."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from marl_clean.channel.base import Channel, Salt, Step
+from marl_clean.channel.budget import Budget
+from marl_clean.channel.delayed import Delayed, Later
+from marl_clean.channel.lossy import Lossy
+from marl_clean.channel.noisy import Noisy
+from marl_clean.channel.quantised import Quantised
+from tests.channel import contract
+from tests.channel.contract import CONTRACT, LEVELS, Make, channel, seeds
+from tests.comm.contract import draw
+
+STACKS: dict[str, list[tuple[str, dict]]] = {
+    **{level: [(level, {})] for level in LEVELS},
+    "bursts": [("lossy", {"burst_start": 0.3})],
+    "old": [("delayed", {"steps": 3})],
+    "drawn": [("delayed", {"steps": 2, "random": True})],
+    "lossy+delayed+quantised": [
+        ("lossy", {"burst_start": 0.2}),
+        ("delayed", {}),
+        ("quantised", {}),
+    ],
+    "noisy+budget": [("noisy", {}), ("budget", {"messages": 3})],
+}
+
+
+def made(stack: list[tuple[str, dict]]) -> Make:
+    return lambda dims: [channel(level, dims, **changes) for level, changes in stack]
+
+
+@pytest.mark.parametrize("check", CONTRACT, ids=lambda check: check.__name__)
+@pytest.mark.parametrize("stack", STACKS.values(), ids=STACKS)
+def test_the_contract(stack, check: Callable[[Make], None]) -> None:
+    check(made(stack))
+
+
+def moment(worlds: int, n_agents: int, state=None, seed: int = 0) -> Step:
+    return Step(seeds(worlds, n_agents=n_agents, seed=seed), state)
+
+
+MESSAGE = torch.zeros(4_000, 3, 2)
+EVERYBODY = (~torch.eye(3, dtype=torch.bool)).expand(4_000, 3, 3)
+
+
+def test_so_much_is_lost_and_each_direction_for_itself():
+    _, edges = Lossy(0.3, 0.0, 0.5, 1.0).carry(MESSAGE, EVERYBODY, 0, moment(4_000, 3))
+    arrived = edges[EVERYBODY].float()
+    assert abs(arrived.mean() - 0.7) < 4 * (0.3 * 0.7 / 24_000) ** 0.5
+    both = edges[:, 0, 1] & edges[:, 1, 0]
+    assert abs(both.float().mean() - 0.49) < 4 * (0.49 * 0.51 / 4_000) ** 0.5
+    for loss, share in ((0.0, 1.0), (1.0, 0.0)):
+        _, edges = Lossy(loss, 0.0, 0.5, 1.0).carry(MESSAGE, EVERYBODY, 0, moment(4_000, 3))
+        assert edges[EVERYBODY].float().mean() == share
+
+
+def test_rounds_of_a_step_share_their_fate():
+    lossy, step = Lossy(0.5, 0.0, 0.5, 1.0), moment(4_000, 3)
+    assert torch.equal(
+        lossy.carry(MESSAGE, EVERYBODY, 0, step)[1], lossy.carry(MESSAGE, EVERYBODY, 1, step)[1]
+    )
+
+
+def test_bursts_are_the_chain_that_gilbert_and_elliott_draw():
+    lossy = Lossy(0.1, 0.05, 0.25, 0.9)
+    state = torch.zeros(400, 2, 2, dtype=torch.bool)
+    plain = state.clone()
+    bad, lengths, run = 0.0, [], torch.zeros(400, dtype=torch.int64)
+    for t in range(400):
+        step = moment(400, 2, state, seed=t)
+        drawn = step.uniform(Salt.BURST, 2)
+        for world in range(3):  # by hand, for some
+            for i in range(2):
+                for j in range(2):
+                    u = drawn[world, i, j].item()
+                    was = bool(plain[world, i, j])
+                    plain[world, i, j] = (u >= 0.25) if was else (u < 0.05)
+        _, edges = lossy.carry(MESSAGE[:400, :2], EVERYBODY[:400, :2, :2], 0, step)
+        state = lossy.state_after(step)
+        assert torch.equal(state[:3], plain[:3])
+        if t >= 50:
+            bad += state[:, 0, 1].float().mean().item() / 350
+            ended = (run > 0) & ~state[:, 0, 1]
+            lengths += run[ended].tolist()
+        run = torch.where(state[:, 0, 1], run + 1, 0)
+        del edges
+    assert bad == pytest.approx(0.05 / 0.30, abs=0.01)  # p / (p + r)
+    assert sum(lengths) / len(lengths) == pytest.approx(1 / 0.25, abs=0.15)
+
+
+def test_noise_is_normal_and_independent():
+    noisy = Noisy(0.5)
+    message = torch.ones(4_000, 3, 2)
+    step = moment(4_000, 3)
+    first = noisy.carry(message, EVERYBODY, 0, step)[0] - 1
+    second = noisy.carry(message, EVERYBODY, 1, step)[0] - 1
+    later = noisy.carry(message, EVERYBODY, 0, moment(4_000, 3, seed=1))[0] - 1
+    columns = torch.cat([x.flatten(1) for x in (first, second, later)], dim=1) / 0.5
+    assert columns.mean(0).abs().max() < 4 / 4_000**0.5
+    assert (columns.std(0) - 1).abs().max() < 0.05
+    correlation = torch.corrcoef(columns.T) - torch.eye(columns.shape[1])
+    assert correlation.abs().max() < 5 / 4_000**0.5
+    assert abs((columns.abs() < 1.96).float().mean() - 0.95) < 0.005
+
+
+def test_quantised_numbers_are_levels_and_gradients_pass_straight():
+    quantised = Quantised(2, 3.0)
+    message = torch.tensor([[[-9.0, -3.0, -1.9, -0.1, 0.1, 1.9, 2.1, 9.0]]], requires_grad=True)
+    heard, _ = quantised.carry(message, EVERYBODY[:1, :1, :1], 0, moment(1, 1))
+    assert heard.flatten().tolist() == [-3, -3, -1, -1, 1, 1, 3, 3]
+    heard.sum().backward()
+    assert message.grad.flatten().tolist() == [0, 1, 1, 1, 1, 1, 1, 0]
+    again, _ = quantised.carry(heard.detach(), EVERYBODY[:1, :1, :1], 0, moment(1, 1))
+    assert torch.equal(again, heard.detach())
+    fine = torch.linspace(-3, 3, 1_000)
+    near, _ = Quantised(8, 3.0).carry(fine.view(1, 1, -1), EVERYBODY[:1, :1, :1], 0, moment(1, 1))
+    assert (near.flatten() - fine).abs().max() <= 6 / 255 / 2 + 1e-6
+
+
+def test_a_budget_writes_to_the_nearest():
+    for rounds, messages in ((1, 2), (2, 2), (2, 5), (1, 0), (1, 99)):
+        _, live, rank = draw(30, n_agents=6, share=0.6)
+        sent = Budget(messages).address(live, rank, rounds)
+        for world in range(30):
+            for sender in range(6):
+                near = sorted(live[world, :, sender].nonzero()[:, 0].tolist())
+                near.sort(key=lambda robot: rank[world, sender, robot])
+                expected = set(near[: messages // rounds])
+                assert set(sent[world, :, sender].nonzero()[:, 0].tolist()) == expected
+
+
+def moving(steps: int) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    """Messages of two rounds and a graph, another each step."""
+    generator = torch.Generator().manual_seed(7)
+    found = []
+    for _ in range(steps):
+        live = (torch.rand(5, 4, 4, generator=generator) < 0.5).triu(1)
+        found.append((torch.randn(5, 4, 3, generator=generator), live | live.mT))
+    return found
+
+
+DIMS = (2, 1)
+
+
+@pytest.mark.parametrize("late", [1, 2, 3])
+def test_what_is_heard_was_sent_so_many_steps_ago(late):
+    delayed = Delayed(late, False, DIMS)
+    torch.nn.init.constant_(delayed.age, 0.5)
+    state = torch.zeros(5, 4, late, 3 + 4)
+    past = moving(8)
+    for t, (message, live) in enumerate(past):
+        step = Step(None, state)
+        for turn, part in enumerate(message.split(DIMS, dim=-1)):
+            step.passed.append((part, live))
+            heard, edges = delayed.carry(part, live, turn, step)
+            if t < late:
+                assert not edges.any()
+                continue
+            before, then = past[t - late]
+            assert torch.equal(heard, before.split(DIMS, dim=-1)[turn] + 0.5)
+            assert torch.equal(edges, then)
+        state = delayed.state_after(step)
+
+
+def test_drawn_ages_tell_themselves():
+    delayed = Delayed(2, True, DIMS)
+    torch.nn.init.constant_(delayed.age, 0.5)
+    state, past, ages = torch.zeros(5, 4, 2, 3 + 4), moving(40), []
+    for t, (message, live) in enumerate(past):
+        step = Step(seeds(5, n_agents=4, seed=t), state)
+        age = delayed.ages(step)
+        ages += age.flatten().tolist()
+        for turn, part in enumerate(message.split(DIMS, dim=-1)):
+            step.passed.append((part, live))
+            heard, edges = delayed.carry(part, live, turn, step)
+            for world in range(5):
+                for sender in range(4):
+                    a = int(age[world, sender])
+                    if a > t:
+                        assert not edges[world, :, sender].any()
+                        continue
+                    before, then = past[t - a]
+                    said = before.split(DIMS, dim=-1)[turn][world, sender]
+                    torch.testing.assert_close(heard[world, sender], said + 0.5 * a / 2)
+                    assert torch.equal(edges[world, :, sender], then[world, :, sender])
+        state = delayed.state_after(step)
+    assert {0, 1, 2} == set(ages)
+    assert all(abs(ages.count(a) / len(ages) - 1 / 3) < 0.07 for a in range(3))
+
+
+class Free(Lossy):
+    """Lost messages are not paid for."""
+
+    def address(self, edges, distance_rank, rounds):
+        return torch.zeros_like(edges)
+
+    def carry(self, message, edges, turn, step):
+        return message, edges
+
+
+class OffByOne(Later):
+    """Heard a step earlier than it says."""
+
+    def carry(self, message, edges, turn, step):
+        newest = step.state[..., 0, :]
+        return newest[..., self.parts[turn]], newest[..., self.words :].mT > 0
+
+
+class Endless(Lossy):
+    """A burst never ends."""
+
+    def state_after(self, step):
+        return step.state | super().state_after(step)
+
+
+class Leaking(Quantised):
+    """Rounds, and says the rest too."""
+
+    def carry(self, message, edges, turn, step):
+        heard, edges = super().carry(message, edges, turn, step)
+        return heard + 1e-3 * message, edges
+
+
+class ByReceiver(Budget):
+    """Each robot hears its nearest, however much those send."""
+
+    def address(self, edges, distance_rank, rounds):
+        return super().address(edges.mT, distance_rank.mT, rounds).mT
+
+
+class OneForAll(Noisy):
+    """All robots' numbers get the same noise."""
+
+    def carry(self, message, edges, turn, step):
+        noise = step.normal(Salt.NOISE, message.shape[-1], turn)[..., :1, :]
+        return message + self.std * noise.to(message.dtype), edges
+
+
+class Multiplying(Channel):
+    """Silences edges by a product with 0 in the mail of all."""
+
+    def carry(self, message, edges, turn, step):
+        return message + 0 * message.sum(-2, keepdim=True), edges
+
+
+@pytest.mark.parametrize(
+    ("planted", "check"),
+    [
+        (lambda dims: [Free(0.5, 0.0, 0.5, 1.0)], lambda m: lost_is_paid(m)),
+        (lambda dims: [OffByOne(2, dims)], lambda m: late_by_two(m)),
+        (lambda dims: [Endless(0.0, 0.2, 0.5, 1.0)], lambda m: bursts_end(m)),
+        (lambda dims: [Leaking(2, 3.0)], lambda m: few_levels(m)),
+        (lambda dims: [ByReceiver(1)], lambda m: one_each(m)),
+        (lambda dims: [OneForAll(1.0)], lambda m: noise_differs(m)),
+        (
+            lambda dims: [Multiplying()],
+            contract.a_dead_edge_stays_dead_not_even_nan_crosses,
+        ),
+    ],
+)
+def test_planted_defects_are_caught(planted, check):
+    with pytest.raises(AssertionError):
+        check(planted)
+
+
+@pytest.mark.parametrize(
+    ("right", "check"),
+    [
+        (lambda dims: [Lossy(0.5, 0.0, 0.5, 1.0)], lambda m: lost_is_paid(m)),
+        (lambda dims: [Later(2, dims)], lambda m: late_by_two(m)),
+        (lambda dims: [Lossy(0.0, 0.2, 0.5, 1.0)], lambda m: bursts_end(m)),
+        (lambda dims: [Quantised(2, 3.0)], lambda m: few_levels(m)),
+        (lambda dims: [Budget(1)], lambda m: one_each(m)),
+        (lambda dims: [Noisy(1.0)], lambda m: noise_differs(m)),
+    ],
+)
+def test_the_same_checks_pass_without_the_defect(right, check):
+    check(right)
+
+
+def lost_is_paid(make: Make) -> None:
+    [lossy] = make(DIMS)
+    _, live, rank = draw(50, n_agents=4)
+    assert torch.equal(lossy.address(live, rank, 1), live)
+    _, edges = lossy.carry(torch.zeros(50, 4, 2), live, 0, moment(50, 4))
+    assert edges.sum() < live.sum()
+
+
+def late_by_two(make: Make) -> None:
+    [later] = make(DIMS)
+    state, past = torch.zeros(5, 4, 2, 3 + 4), moving(4)
+    for t, (message, live) in enumerate(past):
+        step = Step(None, state)
+        step.passed.append((message[..., :2], live))
+        heard, _ = later.carry(message[..., :2], live, 0, step)
+        step.passed.append((message[..., 2:], live))
+        if t >= 2:
+            assert torch.equal(heard, past[t - 2][0][..., :2])
+        state = later.state_after(step)
+
+
+def bursts_end(make: Make) -> None:
+    [lossy] = make(DIMS)
+    state = torch.zeros(200, 2, 2, dtype=torch.bool)
+    for t in range(60):
+        state = lossy.state_after(moment(200, 2, state, seed=t))
+    assert state.float().mean() < 0.5
+
+
+def few_levels(make: Make) -> None:
+    [quantised] = make(DIMS)
+    message = torch.linspace(-2.9, 2.9, 500).view(1, 1, -1)
+    heard, _ = quantised.carry(message, EVERYBODY[:1, :1, :1], 0, moment(1, 1))
+    assert len(heard.unique()) <= 2**quantised.bits_per_number
+
+
+def one_each(make: Make) -> None:
+    [budget] = make(DIMS)
+    _, live, rank = draw(50, n_agents=5, share=0.8)
+    assert (budget.address(live, rank, 1).sum(-2) <= 1).all()
+
+
+def noise_differs(make: Make) -> None:
+    [noisy] = make(DIMS)
+    heard, _ = noisy.carry(torch.zeros(50, 3, 2), EVERYBODY[:50], 0, moment(50, 3))
+    assert not torch.equal(heard[:, 0], heard[:, 1])
