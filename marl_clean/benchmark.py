@@ -15,6 +15,16 @@ from rich.table import Table
 from torchrl.envs import TransformedEnv
 
 from marl_clean import build, files, keys
+from marl_clean.benchmark_schemes import (
+    N_AGENTS,
+    WORLDS,
+    Cost,
+    costs_of_channels,
+    costs_of_schemes,
+    exponent,
+    growth_of_schemes,
+    ratios,
+)
 from marl_clean.compose import compose_config
 from marl_clean.evaluation.table import output
 from marl_clean.jumanji_cleaner import cleaner_step_seconds
@@ -65,12 +75,44 @@ def main(cfg: DictConfig) -> list[Row]:
             row.wanted,
         )
     console.print(table)
+    talk = [costs_of_schemes(), costs_of_channels()]
+    growth = growth_of_schemes()
+    for shown in (*map(table_of_costs, talk), table_of_growth(growth)):
+        console.print(shown)
     path = RUNS / "benchmark.json"
-    content = {"machine": machine(), "rows": [asdict(row) for row in rows]}
+    content = {
+        "machine": machine(),
+        "rows": [asdict(row) for row in rows],
+        "talk": [asdict(cost) for costs in talk for cost in costs],
+        "growth": growth,
+    }
     path.parent.mkdir(parents=True, exist_ok=True)
     files.write_file(path, [json.dumps(content, indent=1).encode()])
     console.print(f"written to {path}")
     return rows
+
+
+def table_of_costs(costs: list[Cost]) -> Table:
+    """Updates and steps as multiples of the first row's."""
+    table = Table(title=f"{N_AGENTS} robots; times against {costs[0].what}, wanted <= 1.50")
+    for title in ("what", "parameters", "update, ms", "ratio", "step, ms", "ratio"):
+        table.add_column(title, justify="left" if title == "what" else "right", no_wrap=True)
+    for one, update, step in ratios(costs):
+        cells = (f"{one.update:.2f}", f"{update:.2f}", f"{one.step:.2f}", f"{step:.2f}")
+        table.add_row(one.what, f"{one.parameters:,}", *cells)
+    return table
+
+
+def table_of_growth(growth: dict[str, dict[int, float]]) -> Table:
+    """Milliseconds by the number of robots, and the power by which they grow, wanted <= 2."""
+    table = Table(title=f"forward pass of {WORLDS} worlds, everybody in contact, ms; wanted: n^2")
+    teams = next(iter(growth.values()))
+    for title in ("scheme", *(f"n={n}" for n in teams), "grows as"):
+        table.add_column(title, justify="left" if title == "scheme" else "right", no_wrap=True)
+    for level, times in growth.items():
+        cells = [f"{taken:.2f}" for taken in times.values()]
+        table.add_row(level, *cells, f"n^{exponent(times):.1f}")
+    return table
 
 
 def against_jumanji(cfg: DictConfig) -> list[Row]:

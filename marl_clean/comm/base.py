@@ -215,12 +215,18 @@ def attend(
     A message is [key, value]. `own`: what a robot would have sent itself; then j = i is live too.
     Without any live j, c_i is exactly 0.
     """
-    heard = spread_live(message, adjacency)
-    if own is not None:
-        itself = torch.eye(adjacency.shape[-1], dtype=torch.bool, device=adjacency.device)
-        heard = torch.where(itself.unsqueeze(-1), own.unsqueeze(-2), heard)
-        adjacency = adjacency | itself
     width = query.shape[-1]
-    score = scale * (query.unsqueeze(-2) * heard[..., :width]).sum(-1)
-    weight = masked_softmax(score, adjacency)
-    return (weight.unsqueeze(-1) * heard[..., width:]).sum(-2), weight
+    heard = spread_live(message, adjacency)
+    live, value = adjacency, heard[..., width:]
+    score = scale * (heard[..., :width] @ query.unsqueeze(-1)).squeeze(-1)
+    if own is not None:  # beside the others, rather than among them: no second copy of n x n
+        of_itself = scale * (own[..., :width] * query).sum(-1, keepdim=True)
+        score = torch.cat([score, of_itself], dim=-1)
+        live = functional.pad(adjacency, (0, 1), value=True)
+    weight = masked_softmax(score, live)
+    others = weight[..., : adjacency.shape[-1]]
+    summed = (others.unsqueeze(-2) @ value).squeeze(-2)
+    if own is None:
+        return summed, others
+    itself = weight[..., -1:]
+    return summed + itself * own[..., width:], others + torch.diag_embed(itself.squeeze(-1))
