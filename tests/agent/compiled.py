@@ -1,39 +1,76 @@
-"""Compile the network of every comm level and variant in one graph: it tells the same as before.
+"""Compile the networks of every comm level, variant and channel in one graph: all tell the same.
 
-A script of its own, because the run-time checks of the tests cannot be compiled.
+A script of its own, because the run-time checks of the tests cannot be compiled. Graphs are
+captured for all; `inductor` makes machine code of one that has nearly everything. With arguments,
+those comm levels by inductor.
 """
 
+import sys
 from pathlib import Path
 
 import torch
 from omegaconf import OmegaConf
 
 from marl_clean.build import make_comm
+from marl_clean.channel.base import Channel
 from marl_clean.networks import QNetwork
-from marl_clean.schema import instantiate
+from marl_clean.schema import instantiate, takes
 from tests.comm.contract import DILUTED, VARIANTS
 
 CONF = Path(__file__).parents[2] / "conf"
+N_AGENTS = 3
+CHANNELS = [path.stem for path in sorted((CONF / "channel").glob("*.yaml"))]
+EVERYTHING = {
+    "lossy": {"burst_start": 0.2},
+    "delayed": {"steps": 2, "random": True},
+    "quantised": {},
+    "noisy": {},
+    "budget": {"messages": 4},
+}
 
 
 def main() -> None:
+    levels = sys.argv[1:]
+    for level in levels:
+        check(level, {}, {}, "none", "inductor")
+    if levels:
+        return
+    for level, changes in VARIANTS + DILUTED:
+        check(level, changes, {}, "none", "eager")
+    for channel in CHANNELS:
+        check("commnet", {}, {channel: {}}, "none", "eager")
+    check("dgn", {}, EVERYTHING, "gru", "eager")
+    check("plan", {}, EVERYTHING, "gru", "inductor")
+
+
+def check(level: str, changes: dict, channels: dict[str, dict], memory: str, backend: str) -> None:
+    section = OmegaConf.merge(OmegaConf.load(CONF / "encoder" / "cnn.yaml"), {"memory": memory})
+    encoder = instantiate(section, observation_shape=torch.Size([1, 15, 15]))
+    section = OmegaConf.merge(OmegaConf.load(CONF / "comm" / f"{level}.yaml"), changes)
+    comm = make_comm(section, encoder.out_features, torch.Size([1, 15, 15]))
+    ways = {name: way(name, tuple(comm.message_dims), some) for name, some in channels.items()}
+    torch.compiler.reset()  # each is a network of its own, and so many are not kept
+    network = QNetwork(encoder, comm, dueling=True, precision="float32", channels=ways)
+    network.eval()  # bits and gates are drawn while learning
+    compiled = torch.compile(network, fullgraph=True, backend=backend)
+    seen = entries(network)
+    for mine, theirs in zip(flat(network(*seen)), flat(compiled(*seen)), strict=True):
+        torch.testing.assert_close(mine, theirs, atol=1e-4, rtol=1e-4)
+
+
+def way(name: str, dims: tuple[int, ...], changes: dict) -> Channel:
+    section = OmegaConf.merge(OmegaConf.load(CONF / "channel" / f"{name}.yaml"), changes)
+    parts = {"message_dims": dims} if takes(section["_target_"], "message_dims") else {}
+    return instantiate(section, **parts)
+
+
+def entries(network: QNetwork) -> list[torch.Tensor]:
     observation = torch.tensor([-1.0, -0.2, 0.0, 0.3, 1.0])[torch.randint(5, (2, 3, 1, 15, 15))]
     live = torch.tensor([[[0, 1, 0], [1, 0, 0], [0, 0, 0]]] * 2, dtype=torch.bool)
     rank = torch.tensor([[[0, 1, 2], [1, 0, 2], [2, 1, 0]]] * 2)
-    for level, changes in VARIANTS + DILUTED:
-        encoder = instantiate(
-            OmegaConf.load(CONF / "encoder" / "cnn.yaml"), observation_shape=torch.Size([1, 15, 15])
-        )
-        section = OmegaConf.merge(OmegaConf.load(CONF / "comm" / f"{level}.yaml"), changes)
-        comm = make_comm(section, encoder.out_features, torch.Size([1, 15, 15]))
-        torch.compiler.reset()  # each is a network of its own, and so many are not kept
-        network = QNetwork(encoder, comm, dueling=True, precision="float32")
-        compiled = torch.compile(network, fullgraph=True, backend="eager")
-        network.eval()  # bits and gates are drawn while learning
-        specs = network.state_specs(live.shape[-1])
-        seen = observation, live, rank, *(specs[key].zero([2]) for key in network.carries)
-        for mine, theirs in zip(flat(network(*seen)), flat(compiled(*seen)), strict=True):
-            torch.testing.assert_close(mine, theirs)
+    drawn = [torch.randint(2**32, (2, N_AGENTS))] if network.draws else []
+    specs = network.state_specs(N_AGENTS)
+    return [observation, live, rank, *drawn, *(specs[key].rand([2]) for key in network.carries)]
 
 
 def flat(result: tuple) -> list[torch.Tensor]:
