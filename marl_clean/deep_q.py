@@ -64,6 +64,7 @@ class DeepQ(Agent):
         messages: in learning, made anew by the present weights, or those that were sent; of the
             next frame they are always made anew.
         next_graph: who talks to whom in the next frame: as it was then, or as in this one.
+        state_shape: of the true state, for learners that are told it.
         n_agents: robots in a world.
         num_actions: actions of a robot.
         device: where the network lives.
@@ -97,6 +98,7 @@ class DeepQ(Agent):
         messages: Literal["recomputed", "replayed"] = "recomputed",
         next_graph: Literal["own", "reused"] = "own",
         channels: Channels = MappingProxyType({}),
+        state_shape: torch.Size | None = None,
         n_agents: Count = 2,
         num_actions: Count = NUM_ACTIONS,
         device: torch.device | str = "cpu",
@@ -106,6 +108,7 @@ class DeepQ(Agent):
         self.lr, self.lr_end = lr, lr_end
         self.max_grad_norm = max_grad_norm
         self.augment, self.messages, self.next_graph = augment, messages, next_graph
+        self.state_shape = state_shape
         self.n_agents, self.num_actions, self.device = n_agents, num_actions, device
         network = self.make_network(encoder, comm, dueling, precision, channels)
         self.network = network.to(device).eval()
