@@ -140,9 +140,8 @@ class RobotsNetwork(nn.Module):
         states = [None if way.remembers is None else given.pop(0) for way in self.ways]
         rounds = self.comm.rounds
         crossing = Crossing(self.ways, adjacency, distance_rank, rounds, seed, states)
-        way: Delivery = (
-            crossing if said is None else Repeated(crossing, said, self.comm.message_dims)
-        )
+        dims = self.comm.message_dims[:rounds]
+        way: Delivery = crossing if said is None else Repeated(crossing, said, dims)
         talk = self.comm(feature, adjacency, distance_rank, way)
         return self.out(talk.feature), talk, (*carried, *crossing.states_after())
 

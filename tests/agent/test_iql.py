@@ -215,6 +215,15 @@ def test_replayed_messages_as_they_were_sent_now_give_the_same_values():
     torch.testing.assert_close(agent.network(*seen, said=talk.message)[0], value)
 
 
+@pytest.mark.parametrize("comm", ["none", "zeroed"])
+def test_where_nothing_is_said_nothing_is_replayed(comm):
+    mute, replaying = make_agent(comm), make_agent(comm, messages="replayed")
+    batch = all_in_contact(4)
+    expected = mute.update(batch.clone())["loss"]
+    batch[keys.MESSAGE] = torch.zeros(4, 2, 0)
+    assert torch.equal(replaying.update(batch)["loss"], expected)
+
+
 def test_the_next_graph_may_be_reused():
     batch = all_in_contact(6)
     batch["next", keys.ADJACENCY] = torch.zeros(6, 2, 2, dtype=torch.bool)

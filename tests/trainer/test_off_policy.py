@@ -240,18 +240,13 @@ def test_a_diverging_network_stops_the_run_before_it_is_saved(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("comm", "frames"),
-    [("plan", 4096), ("full_state", 4096), ("commnet", 4096), ("tarmac", 4096), ("dgn", 8192)],
-)
-def test_the_probe_is_solved_by_talking(tmp_path, comm, frames):
-    assert right_on_the_probe(tmp_path, comm, frames) > 0.9
+def test_the_probe_is_solved_by_talking_both_ways_at_once(tmp_path):
+    assert right_on_the_probe(tmp_path, "plan") > 0.9
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("comm", ["none", "zeroed"])
-def test_the_probe_is_not_solved_in_silence(tmp_path, comm):
-    assert 0.1 <= right_on_the_probe(tmp_path, comm) <= 0.45
+def test_the_probe_is_not_solved_in_silence(tmp_path):
+    assert 0.1 <= right_on_the_probe(tmp_path, "none") <= 0.45
 
 
 def right_on_the_probe(folder: Path, comm: str, frames: int = 4096) -> float:
