@@ -27,7 +27,7 @@ from marl_clean.errors import BadInput
 from marl_clean.manifest import weights_sha256
 from marl_clean.safe_yaml import load_yaml
 from marl_clean.schema import constant, mismatch, parameters
-from marl_clean.settings import Root
+from marl_clean.settings import LaterEvaluation, Root
 
 RUNS = Path("runs")
 CONFIG = "config.yaml"
@@ -150,6 +150,11 @@ def _completed(plain: dict[str, Any]) -> dict[str, Any]:
     types = get_type_hints(Root, include_extras=True)
     whole = {**{key: None for key in types if mismatch(None, types[key]) is None}, **plain}
     whole = {"channel": PERFECT, **whole}
+    measured = whole.get("evaluation")
+    if isinstance(measured, dict):
+        default = load_yaml(conf_folder() / "config.yaml")["evaluation"]
+        whole["evaluation"] = {key: default[key] for key in get_type_hints(LaterEvaluation)}
+        whole["evaluation"] |= measured
     for room, levels in rooms().items():
         section = plain.get(room)
         if not isinstance(section, dict):
