@@ -86,13 +86,15 @@ def make_paired_table(found: Sequence[Mapping[str, Any]], reference: Row) -> Tab
         caption_justify="left",
         box=box.SIMPLE_HEAD,
     )
+    networks = any(one["parameters"] is not None for one in found)
     table.add_column("", no_wrap=True)
-    for title in ("parameters", "seeds", *COMPARED):
+    for title in (*(("parameters", "seeds") if networks else ()), *COMPARED):
         table.add_column(title, justify="right", no_wrap=True)
     for one in found:
         parameters = "-" if one["parameters"] is None else f"{one['parameters']:,}"
+        about = (parameters, str(len(one["seeds"]))) if networks else ()
         cells = [cell_of(one[measure], measure) for measure in COMPARED]
-        table.add_row(one["row"], parameters, str(len(one["seeds"])), *cells)
+        table.add_row(one["row"], *about, *cells)
     return table
 
 
