@@ -156,18 +156,18 @@ def test_a_killed_run_goes_on_from_its_state_and_not_from_the_start(
 ) -> None:
     settings = ["train", *AT_HOME, "trainer.checkpoint_interval_frames=64"]
     assert cli.main([*settings, "name=whole"]) == 0
-    from marl_clean.trainer.off_policy import _Run
+    from marl_clean.trainer.off_policy import OffPolicyRun
 
-    learn = _Run.learn
+    learn = OffPolicyRun.learn
     for block in (2, 3):
 
-        def dying(self, block=block):
-            learn(self)
+        def dying(self, played, block=block):
+            learn(self, played)
             if self.frames >= 64 * block:
                 raise Killed
 
         with monkeypatch.context() as patch, pytest.raises(Killed):
-            patch.setattr(_Run, "learn", dying)
+            patch.setattr(OffPolicyRun, "learn", dying)
             cli.main([*settings, "name=killed"])
     assert cli.main([*settings, "name=killed"]) == 0
     rows = [Path(f"runs/{name}/metrics.csv").read_text() for name in ("whole", "killed")]
