@@ -18,6 +18,9 @@ from tests.comm.contract import (
 )
 
 
+WITH_WEIGHTS = [level for level, _ in LEVELS if list(make(level).parameters())]
+
+
 def name_of(value) -> str:
     if callable(value):
         return value.__name__
@@ -62,7 +65,7 @@ def test_the_zeroed_twin_has_the_parameters_of_plan() -> None:
         assert not torch.equal(plan(feature, live, rank)[0], expected)
 
 
-@pytest.mark.parametrize("level", [level for level, _ in LEVELS if level != "none"])
+@pytest.mark.parametrize("level", WITH_WEIGHTS)
 def test_every_weight_gets_a_gradient(level: str) -> None:
     comm = make(level).train()
     comm(*draw(4, n_agents=4))[0].sum().backward()
