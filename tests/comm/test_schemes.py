@@ -17,7 +17,6 @@ from tests.comm.contract import (
     robots_out_of_reach_may_be_added_anywhere,
 )
 
-
 WITH_WEIGHTS = [level for level, _ in LEVELS if list(make(level).parameters())]
 
 
