@@ -73,6 +73,8 @@ def config_hash(config: DictConfig) -> str:
         for key, value in _container(config).items()
         if key not in OUTSIDE_THE_HASH and (key, value) != (WEIGHTS, None)
     }
+    if len(stack := list(content.get("channel", ()))) > 1:
+        content["channel order"] = stack  # keys are sorted, and what crosses first matters
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -139,7 +139,8 @@ class RobotsNetwork(nn.Module):
             carried.append(feature)
         states = [None if way.remembers is None else given.pop(0) for way in self.ways]
         rounds = self.comm.rounds
-        crossing = Crossing(self.ways, adjacency, distance_rank, rounds, seed, states)
+        gated = self.comm.gated
+        crossing = Crossing(self.ways, adjacency, distance_rank, rounds, seed, states, gated)
         dims = self.comm.message_dims[:rounds]
         way: Delivery = crossing if said is None else Repeated(crossing, said, dims)
         talk = self.comm(feature, adjacency, distance_rank, way)

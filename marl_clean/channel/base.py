@@ -36,11 +36,13 @@ class Step:
         seed: `[*B, n]` int64 in [0, 2^32), a draw for each robot; None where no channel draws.
         state: what the channel remembers of the step before; None where it remembers nothing.
         passed: the messages and edges that came to this channel, round by round.
+        gated: robots may be silent, and then their message is all zeros.
     """
 
     seed: Tensor | None
     state: Tensor | None
     passed: list[tuple[Tensor, Tensor]] = field(default_factory=list)
+    gated: bool = False
 
     def bits(self, salt: Salt, *words: int | Tensor) -> Int[Tensor, "*batch agent n"]:
         """Return draws in [0, 2^32) for each robot and each of the words, which broadcast."""
@@ -51,12 +53,38 @@ class Step:
         """Return `count` numbers in (0, 1) for each robot: a function of its seed alone."""
         assert self.seed is not None
         index = torch.arange(count, device=self.seed.device)
-        return ((self.bits(salt, turn, index) >> 9).float() + 0.5) / 2**23
+        return _to_unit(self.bits(salt, turn, index))
+
+    def uniform_of_edges(self, salt: Salt) -> Float[Tensor, "*batch agent other"]:
+        """Return a number in (0, 1) for each [i, j]: a function of the seeds of i and of j.
+
+        So no draw depends on how the robots are numbered, and [j, i] is a draw of its own.
+        """
+        assert self.seed is not None
+        return _to_unit(self.bits(salt, self.seed.unsqueeze(-2)))
 
     def normal(self, salt: Salt, count: int, turn: int = 0) -> Float[Tensor, "*batch agent n"]:
         """Return `count` standard normal numbers for each robot (Box and Muller, 1958)."""
         first, second = self.uniform(salt, 2 * count, turn).chunk(2, dim=-1)
         return (-2 * first.log()).sqrt() * (tau * second).cos()
+
+    def unless_silent(
+        self,
+        said: Float[Tensor, "*batch agent message"],
+        heard: Float[Tensor, "*batch agent message"],
+    ) -> Float[Tensor, "*batch agent message"]:
+        """Return what is heard, of who chose to be silent nothing: there, no noise is heard.
+
+        Its zeros stay, as they were said, for by their gradient a gate learns where it is shut.
+        """
+        if not self.gated:
+            return heard
+        return torch.where(said.ne(0).any(-1, keepdim=True), heard, said)
+
+
+def _to_unit(bits: Int[Tensor, "..."]) -> Float[Tensor, "..."]:
+    """Return bits in [0, 2^32) as numbers in (0, 1), so a probability of 0 or 1 is exact."""
+    return ((bits >> 9).float() + 0.5) / 2**23
 
 
 class Channel(nn.Module):
@@ -117,9 +145,10 @@ class Crossing(Delivery):
         rounds: int,
         seed: Int[Tensor, "*batch agent"] | None,
         states: Sequence[Tensor | None],
+        gated: bool = False,
     ) -> None:
         self.channels = channels
-        self.steps = [Step(seed, state) for state in states]
+        self.steps = [Step(seed, state, gated=gated) for state in states]
         self.sent = adjacency
         for channel in channels:
             self.sent = channel.address(self.sent, distance_rank, rounds)

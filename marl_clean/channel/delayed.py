@@ -81,7 +81,7 @@ class Delayed(Later):
         weight = self.age[self.parts[turn]]
         if not self.draws:
             heard, edges = super().carry(message, edges, turn, step)
-            return heard + weight, edges
+            return step.unless_silent(heard, heard + weight), edges
         assert step.state is not None
         fresh = torch.cat([message, edges.mT.to(message.dtype)], dim=-1).unsqueeze(-2)
         part, reaches = step.state[..., self.parts[turn]], step.state[..., self.words :]
@@ -90,7 +90,8 @@ class Delayed(Later):
         index = age[..., None, None].expand(*age.shape, 1, every_age.shape[-1])
         chosen = every_age.gather(-2, index).squeeze(-2)
         heard, reaches = chosen[..., : len(weight)], chosen[..., len(weight) :]
-        return heard + (age / self.steps).to(heard.dtype).unsqueeze(-1) * weight, reaches.mT > 0
+        told = heard + (age / self.steps).to(heard.dtype).unsqueeze(-1) * weight
+        return step.unless_silent(heard, told), reaches.mT > 0
 
     def ages(self, step: Step) -> Int[Tensor, "*batch agent"]:
         """Draw how old the message is that is heard of each robot."""

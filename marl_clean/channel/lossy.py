@@ -52,7 +52,7 @@ class Lossy(Channel):
         turn: int,
         step: Step,
     ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
-        drawn = step.uniform(Salt.LOSS, edges.shape[-1])
+        drawn = step.uniform_of_edges(Salt.LOSS)
         if step.state is None:
             return message, edges & (drawn >= self.loss)
         lost = torch.where(self.state_after(step), drawn < self.burst_loss, drawn < self.loss)
@@ -64,5 +64,5 @@ class Lossy(Channel):
     def state_after(self, step: Step) -> Bool[Tensor, "*batch agent other"]:
         """Return which edges are bad in this step."""
         assert step.state is not None
-        drawn = step.uniform(Salt.BURST, step.state.shape[-1])
+        drawn = step.uniform_of_edges(Salt.BURST)
         return torch.where(step.state, drawn >= self.burst_end, drawn < self.burst_start)

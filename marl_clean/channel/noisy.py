@@ -31,4 +31,4 @@ class Noisy(Channel):
         step: Step,
     ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
         noise = step.normal(Salt.NOISE, message.shape[-1], turn)
-        return message + self.std * noise.to(message.dtype), edges
+        return step.unless_silent(message, message + self.std * noise.to(message.dtype)), edges

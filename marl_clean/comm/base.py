@@ -76,6 +76,11 @@ class Comm(nn.Module, ABC):
         """How often the robots speak within one step."""
         return len(self.message_dims)
 
+    @property
+    def gated(self) -> bool:
+        """Whether robots may choose to be silent; then their message is all zeros."""
+        return type(self).gate is not Comm.gate
+
     def numbers(self, turn: int) -> int:
         """Return how many numbers a message of round `turn` is paid for."""
         return self.message_dims[turn]
@@ -124,7 +129,7 @@ class Comm(nn.Module, ABC):
     ) -> Talk:
         """Let the robots talk: round by round, over `delivery`, without one as if at no loss."""
         way: Delivery = delivery or Direct(adjacency)
-        price = way.bits_per_number or self.bits_per_number
+        price = min(self.bits_per_number, way.bits_per_number or self.bits_per_number)
         state, sent = self.begin(feature), [feature[..., :0]]
         receivers = way.sent.sum(-2).unsqueeze(-1).to(feature.dtype)
         edges, bits = [receivers[..., :0]], torch.zeros_like(receivers)

@@ -72,7 +72,7 @@ def test_bursts_are_the_chain_that_gilbert_and_elliott_draw():
     bad, lengths, run = 0.0, [], torch.zeros(400, dtype=torch.int64)
     for t in range(400):
         step = moment(400, 2, state, seed=t)
-        drawn = step.uniform(Salt.BURST, 2)
+        drawn = step.uniform_of_edges(Salt.BURST)
         for world in range(3):  # by hand, for some
             for i in range(2):
                 for j in range(2):

@@ -1,0 +1,233 @@
+"""Every level of conf/comm keeps its contract over every level of conf/channel, step after step."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from marl_clean.channel.base import Channel
+from marl_clean.channel.budget import Budget
+from marl_clean.channel.delayed import Delayed
+from marl_clean.channel.noisy import Noisy
+from marl_clean.comm.base import Comm
+from marl_clean.comm.commnet import CommNet
+from tests.channel.played import (
+    LEVELS,
+    NEUTRAL,
+    Frames,
+    Stack,
+    features,
+    frames,
+    network,
+    play,
+    relabelled,
+)
+from tests.comm.contract import CONF, FEATURES, make, within
+
+SCHEMES = sorted(path.stem for path in CONF.glob("*.yaml"))
+STACKS: dict[str, Stack] = {
+    **{level: {level: {}} for level in LEVELS if level != "perfect"},  # that is comm's own contract
+    "bursts": {"lossy": {"burst_start": 0.3}},
+    "drawn ages": {"delayed": {"steps": 2, "random": True}},
+    "all": {
+        "lossy": {"burst_start": 0.2},
+        "delayed": {"steps": 2},
+        "noisy": {},
+        "quantised": {},
+        "budget": {"messages": 2},
+    },
+}
+over_all = pytest.mark.parametrize("stack", STACKS.values(), ids=STACKS)
+for_all = pytest.mark.parametrize("level", SCHEMES)
+
+
+@over_all
+@for_all
+def test_robots_relabelled_with_their_draws_relabel_the_result(level: str, stack: Stack) -> None:
+    net, given = network(make(level), stack), frames(3, 6, n_agents=5)
+    order = torch.randperm(5, generator=torch.Generator().manual_seed(1))
+    theirs = play(net, relabelled(given, order))
+    for mine, other in zip(play(net, given), theirs, strict=True):
+        for one, same in zip(mine[:4], other[:4], strict=True):
+            torch.testing.assert_close(one[..., order, :], same)
+
+
+@over_all
+def test_a_batch_is_its_worlds_one_by_one(stack: Stack) -> None:
+    net, given = network(make("commnet"), stack), frames(3, 4, n_agents=3)
+    together = features(play(net, given))
+    for world in range(4):
+        alone = features(play(net, Frames(*(x[:, world] for x in given))))
+        torch.testing.assert_close(together[:, world], alone)
+
+
+@over_all
+@for_all
+def test_nothing_crosses_where_no_edge_was_ever_live(level: str, stack: Stack) -> None:
+    nothing_crosses_where_no_edge_was_ever_live(make(level), stack)
+
+
+def nothing_crosses_where_no_edge_was_ever_live(comm: Comm, stack: Stack) -> None:
+    """Not even NaN, and no gradient; told by the edges of all steps so far."""
+    net, given = network(comm, stack), frames(3, 6, n_agents=6, share=0.15)
+    so_far = given.live.cumsum(0) > 0
+    before = features(play(net, given))
+    sender = 0
+    deaf = ~within(so_far, comm.rounds)[..., sender]
+    assert deaf[-1].any()
+    feature = given.feature.clone().requires_grad_()
+    features(play(net, given._replace(feature=feature)))[deaf].sum().backward()
+    assert not feature.grad[..., sender, :].any()
+    poisoned = given.feature.clone()
+    poisoned[..., sender, :] = torch.nan
+    poisoned.requires_grad_()
+    after = features(play(net, given._replace(feature=poisoned)))
+    assert torch.equal(after[deaf], before[deaf])
+    after[deaf].sum().backward()
+    untouched = ~within(so_far[-1], 2 * comm.rounds)[..., sender]
+    assert poisoned.grad[:, untouched].isfinite().all()
+
+
+@over_all
+@for_all
+def test_nobody_hears_for_free_and_prices_are_those_of_the_way(level: str, stack: Stack) -> None:
+    nobody_hears_for_free(make(level), stack)
+
+
+def nobody_hears_for_free(comm: Comm, stack: Stack) -> None:
+    """Whom a robot's words of one step move, then or later, is at most who was paid for."""
+    net, given = network(comm, stack), frames(3, 20, n_agents=5, share=0.7)
+    talks = play(net, given)
+    price = min([comm.bits_per_number, *(w.bits_per_number or 32 for w in net.ways)])
+    numbers = sum(comm.numbers(turn) for turn in range(comm.rounds)) / max(1, comm.rounds)
+    for talk, live in zip(talks, given.live, strict=True):
+        edges = talk.edges.sum(-1, keepdim=True)
+        assert torch.equal(talk.bits, price * numbers * edges)
+        assert (edges <= comm.rounds * live.sum(-2).unsqueeze(-1)).all()
+        if all(type(way).address is Channel.address for way in net.ways) and not comm.gated:
+            assert torch.equal(edges, comm.rounds * live.sum(-2).unsqueeze(-1).double())
+    if comm.rounds != 1:
+        return  # others pass on what they heard, and pay for it themselves
+    before = features(talks)
+    for sender in (1, 2):
+        moved = given.feature.clone()
+        moved[0, :, sender] = -2 * moved[0, :, sender] + 1
+        others = play(net, given._replace(feature=moved))
+        heard = (features(others) != before).any(-1).any(0)
+        heard[:, sender] = False
+        assert not heard[~given.live[0, :, :, sender]].any()
+        paid = torch.maximum(talks[0].edges, others[0].edges)  # it may speak in one of both only
+        assert (heard.sum(-1) <= paid[:, sender].sum(-1)).all()
+
+
+@pytest.mark.parametrize("channel", LEVELS)
+@for_all
+def test_rounds_reach_as_many_hops_and_no_further(level: str, channel: str) -> None:
+    """Along a line of robots; seen in some of many worlds, after all delays."""
+    comm = make(level)
+    net = network(comm, {channel: NEUTRAL.get(channel, {})})
+    length, steps = comm.rounds + 3, 1 + comm.rounds * 2
+    place = torch.arange(length)
+    apart = (place - place[:, None]).abs()
+    rank = apart.mul(2).add(place > place[:, None]).argsort(-1).argsort(-1)
+    given = frames(steps, 16, n_agents=length)
+    given = given._replace(
+        live=(apart == 1).expand(given.live.shape), rank=rank.expand(given.rank.shape)
+    )
+    before = features(play(net, given))[-1]
+    for sender in (0, 2):
+        moved = given.feature.clone()
+        moved[:, :, sender] += 1
+        after = features(play(net, given._replace(feature=moved)))[-1]
+        changed = (after != before).any(-1).any(0)
+        assert not changed[apart[sender] > comm.rounds].any()
+        if channel in NEUTRAL:
+            assert changed[apart[sender] <= comm.rounds].all()
+
+
+@pytest.mark.parametrize("channel", NEUTRAL)
+@for_all
+def test_at_its_neutral_setting_a_channel_changes_nothing(level: str, channel: str) -> None:
+    """In a world that stands still, seen after all delays."""
+    comm = make(level)
+    once = frames(1, 8, n_agents=4, share=0.7)
+    given = Frames(*(x.expand(1 + comm.rounds * 2, *x.shape[1:]) for x in once))
+    plain = features(play(network(comm, {}), given))[-1]
+    crossed = features(play(network(comm, {channel: NEUTRAL[channel]}), given))[-1]
+    rough = {"quantised": 2e-3, "noisy": 1e-5}.get(channel, 1e-7)
+    torch.testing.assert_close(crossed, plain, atol=rough, rtol=rough)
+
+
+class Mute(CommNet):
+    """Nobody chooses to speak, by a gate that could learn to."""
+
+    def __init__(self) -> None:
+        super().__init__(FEATURES, hidden=8, rounds=2, divisor="others", detach=False)
+        self.shut = torch.nn.Parameter(torch.zeros(1))
+
+    def gate(self, state: tuple[Tensor, ...], turn: int) -> Tensor:
+        return self.shut.expand(*state[1].shape[:-1], 1)
+
+
+@over_all
+def test_silence_is_heard_as_silence_and_costs_nothing(stack: Stack) -> None:
+    silence_is_heard_as_silence(stack)
+
+
+def silence_is_heard_as_silence(stack: Stack) -> None:
+    torch.manual_seed(0)
+    comm = Mute()
+    net, given = network(comm, stack), frames(4, 8, n_agents=4, share=0.9)
+    for way in net.ways:
+        for weight in way.parameters():
+            torch.nn.init.ones_(weight)
+    talks = play(net, given)
+    alone = play(net, given._replace(live=torch.zeros_like(given.live)))
+    assert torch.equal(features(talks), features(alone))
+    assert not any(talk.bits.any() or talk.edges.any() for talk in talks)
+
+
+@pytest.mark.parametrize("channel", NEUTRAL)
+def test_a_shut_gate_learns_over_every_channel(channel: str) -> None:
+    torch.manual_seed(0)
+    comm = Mute()
+    net, given = network(comm, {channel: NEUTRAL[channel]}), frames(4, 8, n_agents=4, share=0.9)
+    features(play(net, given)).sum().backward()
+    assert comm.shut.grad.isfinite().all() and comm.shut.grad.any()
+
+
+class Spilling(Delayed):
+    """What is under way of each robot is touched by everybody's."""
+
+    def state_after(self, step):
+        state = super().state_after(step)
+        return state + 0 * state[..., : self.words].sum((-1, -2, -3), keepdim=True)
+
+
+class Unpaid(Budget):
+    """Pays for the nearest and writes to all."""
+
+    def address(self, edges, distance_rank, rounds):
+        self.all = edges
+        return super().address(edges, distance_rank, rounds)
+
+    def carry(self, message, edges, turn, step):
+        return message, self.all
+
+
+class HissingNoise(Noisy):
+    """Is heard where nobody speaks."""
+
+    def carry(self, message, edges, turn, step):
+        step.gated = False
+        return super().carry(message, edges, turn, step)
+
+
+def test_planted_defects_are_caught() -> None:
+    plan = make("plan")
+    with pytest.raises(AssertionError):
+        spilling = {"delayed": Spilling(1, False, tuple(plan.message_dims))}
+        nothing_crosses_where_no_edge_was_ever_live(plan, spilling)
+    with pytest.raises(AssertionError):
+        nobody_hears_for_free(plan, {"budget": Unpaid(1)})
+    with pytest.raises(AssertionError):
+        silence_is_heard_as_silence({"noisy": HissingNoise(0.5)})

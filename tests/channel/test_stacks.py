@@ -1,0 +1,97 @@
+"""Channels of a stack are crossed in their order, the first nearest to the sender."""
+
+from itertools import permutations
+
+import pytest
+import torch
+from torch import Tensor
+
+from marl_clean.channel.base import Channel, Crossing, Step
+from marl_clean.channel.quantised import Quantised
+from marl_clean.compose import compose_config
+from tests.channel.played import LEVELS, Frames, frames, make_channel
+
+DIMS = (3, 2)
+CHANGES = {"lossy": {"burst_start": 0.3}, "delayed": {"steps": 2}, "budget": {"messages": 3}}
+
+
+def cross(ways: list[Channel], given: Frames) -> list[tuple[Tensor, Tensor]]:
+    """What is heard of each round of each step, and over which edges; nothing is carried in."""
+    batch, n_agents = given.seed.shape[1:-1], given.seed.shape[-1]
+    heard = []
+    carrying = [way.remembers is not None for way in ways]
+    kept = [w.state_spec(n_agents, DIMS).zero(batch) for w in ways if w.remembers is not None]
+    for said, live, rank, seed in zip(*given, strict=True):
+        left = iter(kept)
+        states = [next(left) if carries else None for carries in carrying]
+        crossing = Crossing(ways, live, rank, len(DIMS), seed, states)
+        parts = said[..., : sum(DIMS)].float().split(DIMS, dim=-1)
+        heard += [crossing(part, turn) for turn, part in enumerate(parts)]
+        kept = crossing.states_after()
+    return heard
+
+
+@pytest.mark.parametrize("names", [*permutations(LEVELS, 2), ("lossy", "delayed", "quantised")])
+def test_what_one_lets_through_comes_to_the_next(names: tuple[str, ...]) -> None:
+    """By hand, one channel after the other, over the edges that all of them let be written to."""
+    ways = [make_channel(name, DIMS, **CHANGES.get(name, {})) for name in names]
+    given = frames(5, 4, n_agents=4, share=0.8)
+    found = iter(cross(ways, given))
+    states = [
+        way.state_spec(4, DIMS).zero((4,)) if way.remembers is not None else None for way in ways
+    ]
+    for said, live, rank, seed in zip(*given, strict=True):
+        sent = live
+        for way in ways:
+            sent = way.address(sent, rank, len(DIMS))
+        steps = [Step(seed, state) for state in states]
+        for turn, part in enumerate(said[..., : sum(DIMS)].float().split(DIMS, dim=-1)):
+            edges = sent
+            for way, step in zip(ways, steps, strict=True):
+                step.passed.append((part, edges))
+                part, edges = way.carry(part, edges, turn, step)
+            heard, over = next(found)
+            assert torch.equal(heard, part) and torch.equal(over, edges)
+        states = [
+            way.state_after(step) if way.remembers is not None else None
+            for way, step in zip(ways, steps, strict=True)
+        ]
+
+
+def test_what_is_rounded_last_is_a_level_and_what_is_noisy_last_is_none() -> None:
+    given, few = frames(1, 6, n_agents=4), {"bits": 2, "limit": 3.7}
+    noisy, quantised = make_channel("noisy", DIMS), make_channel("quantised", DIMS, **few)
+    last = torch.cat([heard.flatten() for heard, _ in cross([noisy, quantised], given)])
+    assert len(last.unique()) == 4
+    first = torch.cat([heard.flatten() for heard, _ in cross([quantised, noisy], given)])
+    assert len(first.unique()) == first.numel()
+
+
+def test_what_is_lost_before_a_delay_was_lost_when_it_was_sent() -> None:
+    given = frames(6, 20, n_agents=4, share=0.9)
+    lossy, delayed = make_channel("lossy", DIMS, loss=0.5), make_channel("delayed", DIMS)
+    arrives = [edges for _, edges in cross([lossy], given)[::2]]
+    sent_first = [edges for _, edges in cross([lossy, delayed], given)[::2]]
+    heard_first = [edges for _, edges in cross([delayed, lossy], given)[::2]]
+    survives = [edges for _, edges in cross([lossy], given._replace(live=given.live | True))[::2]]
+    for t in range(1, 6):
+        assert torch.equal(sent_first[t], arrives[t - 1])
+        assert torch.equal(heard_first[t], given.live[t - 1] & survives[t])
+
+
+@pytest.mark.parametrize("bits", [1, 2, 3, 8, 16])
+@pytest.mark.parametrize("limit", [0.3, 1.0, 3.7])
+def test_a_quantised_number_says_its_level_and_nothing_else(bits: int, limit: float) -> None:
+    """To the last digit, and again the same if it is quantised again."""
+    quantised, alive = Quantised(bits, limit), torch.ones(1, 1, 1, dtype=torch.bool)
+    said = 2 * limit * torch.linspace(-1, 1, 30_001).view(1, 1, -1)
+    heard, _ = quantised.carry(said, alive, 0, Step(None, None))
+    assert len(heard.unique()) <= 2**bits
+    again, _ = quantised.carry(heard, alive, 0, Step(None, None))
+    assert torch.equal(again, heard)
+
+
+def test_runs_of_another_order_have_another_name() -> None:
+    stacks = ["lossy,delayed", "delayed,lossy", "delayed,lossy,noisy", "delayed,noisy,lossy"]
+    assert len({compose_config([f"channel=[{stack}]"]).name for stack in stacks}) == 4
+    assert compose_config(["channel=[lossy]"]).name == compose_config(["channel=lossy"]).name
