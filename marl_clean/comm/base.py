@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from marl_clean.delivery import Delivery, Direct
+from marl_clean.live_edges import meet_live, weigh_live
 
 Width = int
 """Length of a feature vector; handed over by the network's builder, so never a config key."""
@@ -161,20 +162,12 @@ def dense(before: int, after: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(before, after), nn.ReLU())
 
 
-def spread_live(
-    value: Float[Tensor, "*batch agent width"],
-    adjacency: Bool[Tensor, "*batch agent agent"],
-) -> Float[Tensor, "*batch agent agent width"]:
-    """Return [i, j] = the value of j where i has a live edge to it, else 0."""
-    return torch.where(adjacency.unsqueeze(-1), value.unsqueeze(-3), 0.0)
-
-
 def sum_live(
     value: Float[Tensor, "*batch agent width"],
     adjacency: Bool[Tensor, "*batch agent agent"],
 ) -> Float[Tensor, "*batch agent width"]:
     """Return for each robot the sum of its live neighbours' values; 0 without any."""
-    return spread_live(value, adjacency).sum(-2)
+    return weigh_live(adjacency.to(value.dtype), value, adjacency)
 
 
 def nearest_live(
@@ -190,11 +183,12 @@ def nearest_live(
     agents, width = value.shape[-2:]
     taken = min(places, agents)
     beyond_all = torch.full_like(distance_rank, agents)
-    rank, other = torch.where(adjacency, distance_rank, beyond_all).sort(dim=-1)
-    rank, other = rank[..., :taken, None], other[..., :taken, None]
-    spread = value.unsqueeze(-3).expand(*adjacency.shape, width)
-    gathered = spread.gather(-2, other.expand(*other.shape[:-1], width))
-    heard = torch.where(rank < agents, gathered, 0.0).flatten(-2)
+    live_rank = torch.where(adjacency, distance_rank, beyond_all)
+    rank, other = live_rank.topk(taken, dim=-1, largest=False)
+    index = other.flatten(-2).unsqueeze(-1)
+    gathered = value.gather(-2, index.expand(*index.shape[:-1], width))
+    placed = gathered.unflatten(-2, (agents, taken))
+    heard = torch.where(rank.unsqueeze(-1) < agents, placed, 0.0).flatten(-2)
     return functional.pad(heard, (0, (places - taken) * width))
 
 
@@ -221,16 +215,15 @@ def attend(
     Without any live j, c_i is exactly 0.
     """
     width = query.shape[-1]
-    heard = spread_live(message, adjacency)
-    live, value = adjacency, heard[..., width:]
-    score = scale * (heard[..., :width] @ query.unsqueeze(-1)).squeeze(-1)
-    if own is not None:  # beside the others, rather than among them: no second copy of n x n
+    live = adjacency
+    score = scale * meet_live(query, message[..., :width], live)
+    if own is not None:  # beside the others, rather than among them
         of_itself = scale * (own[..., :width] * query).sum(-1, keepdim=True)
         score = torch.cat([score, of_itself], dim=-1)
         live = functional.pad(adjacency, (0, 1), value=True)
     weight = masked_softmax(score, live)
     others = weight[..., : adjacency.shape[-1]]
-    summed = (others.unsqueeze(-2) @ value).squeeze(-2)
+    summed = weigh_live(others, message[..., width:], adjacency)
     if own is None:
         return summed, others
     itself = weight[..., -1:]
