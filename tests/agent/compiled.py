@@ -1,8 +1,8 @@
 """Compile the networks of every comm level, variant and channel in one graph: all tell the same.
 
 A script of its own, because the run-time checks of the tests cannot be compiled. Graphs are
-captured for all; `inductor` makes machine code of one that has nearly everything. With arguments,
-those comm levels by inductor.
+captured for all; `inductor` makes machine code of one that has nearly everything, and of schemes
+that sum and attend, with their gradients. With arguments, of those comm levels instead.
 """
 
 import sys
@@ -15,7 +15,7 @@ from marl_clean.build import make_comm
 from marl_clean.channel.base import Channel
 from marl_clean.networks import QNetwork
 from marl_clean.schema import instantiate, takes
-from tests.comm.contract import DILUTED, VARIANTS
+from tests.comm.contract import DILUTED, LEVELS, VARIANTS, draw, make
 
 CONF = Path(__file__).parents[2] / "conf"
 N_AGENTS = 3
@@ -31,14 +31,16 @@ EVERYTHING = {
 
 def main() -> None:
     levels = sys.argv[1:]
-    for level in levels:
-        check(level, {}, {}, "none", "inductor")
+    for level in levels or ("commnet", "tarmac"):
+        check_gradients(level)
     if levels:
         return
     for level, changes in VARIANTS + DILUTED:
         check(level, changes, {}, "none", "eager")
     for channel in CHANNELS:
         check("commnet", {}, {channel: {}}, "none", "eager")
+    for level, _ in LEVELS:
+        check(level, {}, {"lossy": {}, "delayed": {}}, "gru", "eager")
     check("dgn", {}, EVERYTHING, "gru", "eager")
     check("plan", {}, EVERYTHING, "gru", "inductor")
 
@@ -55,6 +57,20 @@ def check(level: str, changes: dict, channels: dict[str, dict], memory: str, bac
     compiled = torch.compile(network, fullgraph=True, backend=backend)
     seen = entries(network)
     for mine, theirs in zip(flat(network(*seen)), flat(compiled(*seen)), strict=True):
+        torch.testing.assert_close(mine, theirs, atol=1e-4, rtol=1e-4)
+
+
+def check_gradients(level: str) -> None:
+    """A scheme alone, by inductor: what it gives, and what it hands back."""
+    torch.compiler.reset()
+    comm = make(level).float()
+    feature, live, rank = draw(2, n_agents=N_AGENTS)
+    feature = feature.float().requires_grad_()
+    plain, fast = (
+        one(feature, live, rank)[:4] for one in (comm, torch.compile(comm, fullgraph=True))
+    )
+    back = [torch.autograd.grad(talk[0].square().sum(), feature)[0] for talk in (plain, fast)]
+    for mine, theirs in zip((*plain, back[0]), (*fast, back[1]), strict=True):
         torch.testing.assert_close(mine, theirs, atol=1e-4, rtol=1e-4)
 
 
