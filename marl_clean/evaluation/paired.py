@@ -14,10 +14,13 @@ from marl_clean.evaluation.statistics import as_sample, holm, paired_difference,
 
 FINISHED = "finished"
 COMPARED = ("T_90", "T_100", FINISHED)
+COMPARED_OF_OTHERS = ("return",)  # in tasks that know nothing of cells
+LEVEL = 0.05
 CAPTION = (
     "Row minus reference, house by house and seed by seed; of times less is better.\n"
-    "Brackets: 95 % bootstrap interval over seeds and then houses. *: p < 0.05 after\n"
-    "Holm's correction over all comparisons of this table. Few seeds make both too sure."
+    "Brackets: 95 % bootstrap interval over seeds and then houses, too narrow for few seeds.\n"
+    "**: p < 0.05 after Holm's correction over all comparisons of this table, *: before it;\n"
+    "p by seeds and houses, of one seed by houses alone: then it is of these weights only."
 )
 
 
@@ -38,7 +41,8 @@ def differences(rows: Sequence[Row], reference: Row) -> list[dict[str, Any]]:
 
     A list of `{"row", "reference", "seeds", "parameters", measure: {"mean", "ci95", "p",
     "p_holm"}}`; rows that share no seed with it are left out. Measures are those of
-    evaluation.json, a time not reached counts as max_steps; `finished` is 1 or 0 a house.
+    evaluation.json, a time not reached counts as max_steps; `finished` is 1 or 0 a house. Tasks
+    of others have their `return` alone.
     """
     found = []
     for row in rows:
@@ -47,17 +51,23 @@ def differences(rows: Sequence[Row], reference: Row) -> list[dict[str, Any]]:
             continue
         one: dict[str, Any] = {"row": row.label, "reference": reference.label, "seeds": seeds}
         one["parameters"] = row.parameters
-        for measure in COMPARED:
+        for measure in compared(reference):
             ours, theirs = (values(side, seeds, measure) for side in (row, reference))
             estimate = paired_difference(ours, theirs)
             interval = None if estimate.ci95 is None else list(estimate.ci95)
             p = paired_p(ours, theirs)
             one[measure] = {"mean": estimate.mean, "ci95": interval, "p": p}
         found.append(one)
-    cells = [one[measure] for one in found for measure in COMPARED]
+    cells = [one[measure] for one in found for measure in compared(reference)]
     for cell, corrected in zip(cells, holm([cell["p"] for cell in cells]), strict=True):
         cell["p_holm"] = corrected
     return found
+
+
+def compared(row: Row) -> tuple[str, ...]:
+    """The measures that rows of this one's world are compared by."""
+    [first, *_] = row.runs.values()
+    return COMPARED if "T_100" in first["houses"][0] else COMPARED_OF_OTHERS
 
 
 def common_seeds(row: Row, reference: Row) -> list[int]:
@@ -88,18 +98,18 @@ def make_paired_table(found: Sequence[Mapping[str, Any]], reference: Row) -> Tab
     )
     networks = any(one["parameters"] is not None for one in found)
     table.add_column("", no_wrap=True)
-    for title in (*(("parameters", "seeds") if networks else ()), *COMPARED):
+    for title in (*(("parameters", "seeds") if networks else ()), *compared(reference)):
         table.add_column(title, justify="right", no_wrap=True)
     for one in found:
         parameters = "-" if one["parameters"] is None else f"{one['parameters']:,}"
         about = (parameters, str(len(one["seeds"]))) if networks else ()
-        cells = [cell_of(one[measure], measure) for measure in COMPARED]
+        cells = [cell_of(one[measure], measure) for measure in compared(reference)]
         table.add_row(one["row"], *about, *cells)
     return table
 
 
 def cell_of(difference: Mapping[str, Any], measure: str) -> str:
-    """A difference and its interval, marked where it holds after correction."""
+    """A difference and its interval, marked where it is more than chance, also corrected."""
     if difference["mean"] is None:
         return "-"
     scale = 100 if measure == FINISHED else 1
@@ -107,5 +117,5 @@ def cell_of(difference: Mapping[str, Any], measure: str) -> str:
         f"{scale * value:+.1f}" for value in (difference["mean"], *difference["ci95"])
     )
     unit = " %" if measure == FINISHED else ""
-    mark = " *" if difference["p_holm"] < 0.05 else "  "
-    return f"{mean}{unit} [{low}, {high}]{mark}"
+    mark = "*" * sum(difference[p] < LEVEL for p in ("p", "p_holm"))
+    return f"{mean}{unit} [{low}, {high}] {mark:2}"
