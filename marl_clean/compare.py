@@ -97,18 +97,14 @@ def gather(runs: Sequence[str]) -> list[World]:
             folder = find_run(run)
             config = load_config(folder)
             entries = read_entries(folder / MEASURED)
-            played = [what_was_played(entry, config["env"]) for entry in entries]
         except BadInput as error:
             log.warning("left out: %s", error)
-            continue
-        except (KeyError, TypeError, AttributeError) as error:
-            log.warning("left out: %s: not the entries of an evaluation (%r)", run, error)
             continue
         if folder.resolve() in seen:
             continue
         seen.add(folder.resolve())
-        for entry, what in zip(entries, played, strict=True):
-            world = worlds.setdefault(what, World())
+        for entry in entries:
+            world = worlds.setdefault(what_was_played(entry, config["env"]), World())
             if entry["policy"] != config["name"]:  # in one world a planner plays alike for all
                 world.others[entry["policy"]] = entry
                 continue

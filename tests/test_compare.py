@@ -144,19 +144,113 @@ def test_only_seeds_that_both_have_are_paired_and_the_reference_can_be_chosen(tm
         compare.main(runs, None, QUIET, against="comm=dial")
 
 
-def test_foreign_and_torn_measurements_are_left_out(tmp_path, caplog) -> None:
+def of_houses(**changes):
+    def change(entry: dict) -> None:
+        for record in entry["houses"]:
+            record.update(changes)
+
+    return change
+
+
+def without(key: str):
+    def change(entry: dict) -> None:
+        for record in entry["houses"]:
+            del record[key]
+
+    return change
+
+
+FOREIGN = {
+    "no summary": lambda entry: entry.pop("summary"),
+    "no policy": lambda entry: entry.pop("policy"),
+    "a policy of several": lambda entry: entry.update(policy=["a"]),
+    "no houses": lambda entry: entry.update(houses=[]),
+    "houses by name": lambda entry: entry.update(houses={"a": 1}),
+    "a house that is none": lambda entry: entry["houses"].append(3),
+    "a house that lacks a measure": lambda entry: entry["houses"][1].pop("bumps"),
+    "no time at all": without("T_90"),
+    "no most of steps": without("max_steps"),
+    "unlimited steps": of_houses(max_steps=None),
+    "no bound": without("bound_90"),
+    "a time in words": of_houses(T_90="soon"),
+    "an endless time": of_houses(T_90=float("inf")),
+    "a mean in words": lambda entry: entry["summary"]["T_90"].update(mean="soon"),
+    "an interval of one end": lambda entry: entry["summary"]["T_100"].update(ci95=[1.0]),
+    "no mean": lambda entry: entry["summary"]["coverage"].update(mean=None),
+    "another version": lambda entry: entry.update(schema=2),
+}
+
+
+@pytest.mark.parametrize("what", FOREIGN)
+def test_a_foreign_entry_leaves_its_run_out_in_one_line(what, tmp_path, caplog) -> None:
     good = write_run(tmp_path / "good", [], [40, 60])
-    for name, text in (
-        ("torn", '[{"schema": 1, "pol'),
-        ("odd", '[{"schema": 1}]'),
-        ("list", "[1]"),
-    ):
-        write_run(tmp_path / name, ["seed=5"], [1, 2])
-        (tmp_path / name / "evaluation.json").write_text(text)
-    runs = [good, *(str(tmp_path / name) for name in ("torn", "odd", "list"))]
-    rows = compare.main(runs, None, QUIET)
+    foreign = write_run(tmp_path / "foreign", ["seed=5"], [1, 2])
+    path = tmp_path / "foreign" / "evaluation.json"
+    entries = json.loads(path.read_text())
+    FOREIGN[what](entries[0])
+    path.write_text(json.dumps(entries))
+    rows = compare.main([good, foreign], None, QUIET, figure=False)
     assert [row["policy"] for row in rows] == ["good", "nearest_unknown"]
-    assert len(caplog.messages) == 3 and all("\n" not in message for message in caplog.messages)
+    [line] = caplog.messages
+    assert str(path) in line and "\n" not in line
+
+
+@pytest.mark.parametrize(
+    "text", [b'[{"schema": 1, "pol', b"[1]", b"3", b"{}", b"", b"\xff\xfe", b"[" * 100_000]
+)
+def test_a_torn_measurement_is_left_out_in_one_line(text, tmp_path, caplog) -> None:
+    good = write_run(tmp_path / "good", [], [40, 60])
+    torn = write_run(tmp_path / "torn", ["seed=5"], [1, 2])
+    (tmp_path / "torn" / "evaluation.json").write_bytes(text)
+    rows = compare.main([good, torn], None, QUIET, figure=False)
+    assert [row["policy"] for row in rows] == ["good", "nearest_unknown"]
+    assert len(caplog.messages) == 1 and "\n" not in caplog.messages[0]
+
+
+@pytest.mark.parametrize(
+    "text", [b"", b"- 1", b"\xff\xfea: 1", b"seed: 0\nhou", b"model:\n  _target_: os.system\n"]
+)
+def test_a_strangers_config_is_left_out_in_one_line(text, tmp_path, caplog) -> None:
+    good = write_run(tmp_path / "good", [], [40, 60])
+    foreign = write_run(tmp_path / "foreign", ["seed=5"], [1, 2])
+    (tmp_path / "foreign" / "config.yaml").write_bytes(text)
+    rows = compare.main([good, foreign], None, QUIET, figure=False)
+    assert [row["policy"] for row in rows] == ["good", "nearest_unknown"]
+    assert len(caplog.messages) == 1 and "\n" not in caplog.messages[0]
+
+
+def test_entries_of_before_a_measure_are_pooled_without_it(tmp_path, caplog) -> None:
+    runs = [
+        write_run(tmp_path / f"plan-s{seed}", [f"seed={seed}"], [40, 60 + seed]) for seed in (0, 1)
+    ]
+    path = tmp_path / "plan-s1" / "evaluation.json"
+    entries = json.loads(path.read_text())
+    for entry in entries:
+        del entry["summary"]["bits_per_cell"], entry["summary"]["gate"]
+        without("bits_per_cell")(entry)
+        without("gate")(entry)
+    path.write_text(json.dumps(entries))
+    for order in (runs, runs[::-1]):
+        row, _ = compare.main(order, None, QUIET, figure=False)
+        assert row["policy"] == "plan (2 seeds)" and "gate" not in row["summary"]
+    assert caplog.messages == []
+
+
+def test_tasks_of_others_are_compared_by_their_return(tmp_path) -> None:
+    def write_task(comm: str, returns: list[float]) -> str:
+        folder = tmp_path / comm
+        folder.mkdir()
+        config = compose_config(["experiment=spread", f"comm={comm}", f"name={comm}"])
+        (folder / "config.yaml").write_text(OmegaConf.to_yaml(config))
+        houses = [{"seed": i, "steps": 25, "return": value} for i, value in enumerate(returns)]
+        entry = make_entry(comm, "mpe2.simple_spread_v3", "hash", 0.02, 3, houses)
+        write_entries(folder / "evaluation.json", [{**entry, "world": None}])
+        return str(folder)
+
+    runs = [write_task("none", [-60.0, -70.0]), write_task("plan", [-50.0, -61.0])]
+    compare.main(runs, tmp_path / "out.json", QUIET)
+    [plan] = json.loads((tmp_path / "out_paired.json").read_text())
+    assert plan["return"]["mean"] == 9.5 and "T_90" not in plan
 
 
 def test_the_figure_is_drawn(tmp_path, monkeypatch) -> None:

@@ -9,12 +9,11 @@ from jaxtyping import Float
 from rich import box
 from rich.table import Table
 
-from marl_clean.evaluation.records import Entry, House, sample
+from marl_clean.evaluation.records import SHOWN_OF_OTHERS, Entry, House, sample
 from marl_clean.evaluation.statistics import as_sample, holm, paired_difference, paired_p
 
 FINISHED = "finished"
 COMPARED = ("T_90", "T_100", FINISHED)
-COMPARED_OF_OTHERS = ("return",)  # in tasks that know nothing of cells
 LEVEL = 0.05
 CAPTION = (
     "Row minus reference, house by house and seed by seed; of times less is better.\n"
@@ -67,7 +66,7 @@ def differences(rows: Sequence[Row], reference: Row) -> list[dict[str, Any]]:
 def compared(row: Row) -> tuple[str, ...]:
     """The measures that rows of this one's world are compared by."""
     [first, *_] = row.runs.values()
-    return COMPARED if "T_100" in first["houses"][0] else COMPARED_OF_OTHERS
+    return COMPARED if "T_100" in first["houses"][0] else SHOWN_OF_OTHERS
 
 
 def common_seeds(row: Row, reference: Row) -> list[int]:

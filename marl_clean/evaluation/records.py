@@ -7,10 +7,11 @@ A list with one entry for each (policy, set of houses); `schema` is the version 
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float
+from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter, ValidationError
 
 from marl_clean import files
 from marl_clean.errors import BadInput
@@ -32,6 +33,27 @@ MEASURES = (
     *("messages_per_cell", "edges_per_cell", "bits_per_cell", "rounds_per_cell", "gate"),
     *("optimum_100", "gap_100"),
 )
+SHOWN = ("T_90", "T_100", "coverage", "redundancy")  # in every table of houses
+SHOWN_OF_OTHERS = ("return",)  # in tasks that know nothing of cells
+
+
+class _Summary(BaseModel, strict=True):
+    """What readers need of a measure's summary."""
+
+    mean: FiniteFloat | None
+    ci95: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)] | None
+    reached: FiniteFloat
+
+
+class _Whole(BaseModel, strict=True):
+    """What readers need of an entry."""
+
+    policy: str
+    house_set: str
+    epsilon: FiniteFloat
+    n_agents: int
+    houses: Annotated[list[dict[str, FiniteFloat | str | None]], Field(min_length=1)]
+    summary: dict[str, _Summary]
 
 
 def make_entry(
@@ -120,16 +142,58 @@ def write_entries(path: Path, entries: Sequence[Entry]) -> None:
 
 
 def read_entries(path: Path) -> list[Entry]:
-    """The entries of an evaluation.json. Raises BadInput when it is none, or of another version."""
+    """The entries of an evaluation.json; it may come from a stranger.
+
+    Raises BadInput when it is none, of another version, or lacks what tables and comparisons need.
+    """
     try:
         entries = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BadInput(f"{path}: is not JSON; an evaluation.json is valid") from error
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise BadInput(f"{path}: is not a list of entries; an evaluation.json is valid")
-    for entry in entries:
+    for number, entry in enumerate(entries):
         if entry.get("schema") != SCHEMA:
             raise BadInput(f"{path}: schema {entry.get('schema')}, only {SCHEMA} is valid")
+        if (fault := _fault(entry)) is not None:
+            raise BadInput(f"{path}: entry {number}: {fault}; an evaluation.json is valid")
     return entries
+
+
+def _fault(entry: Entry) -> str | None:
+    """What keeps an entry from being shown and pooled with others; None if nothing does."""
+    try:
+        TypeAdapter(_Whole).validate_python(entry)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    houses = entry["houses"]
+    shown = SHOWN if "T_100" in houses[0] else SHOWN_OF_OTHERS
+    measured = {name for name in MEASURES if name in houses[0]} | {*shown}
+    needed = measured | {least for name in measured for least in _stands_in(name)}
+    for house in houses:
+        if lacking := sorted(needed - set(house)):
+            return f"a house has no {lacking[0]}"
+        if texts := sorted(name for name in needed if isinstance(house[name], str)):
+            return f"a house has no number {texts[0]}"
+        if house.get("max_steps", 0) is None:
+            return "a house has no number max_steps"
+    for name in shown:
+        if name not in entry["summary"] or None in (
+            entry["summary"][name]["mean"],
+            entry["summary"][name]["ci95"],
+        ):
+            return f"summary.{name}: is missing"
+    return None
+
+
+def _stands_in(measure: str) -> tuple[str, ...]:
+    """The keys of a house that `counted` needs where a measure is null."""
+    kind, _, name = measure.partition("_")
+    return {
+        "T": ("max_steps",),
+        "ratio": ("max_steps", f"bound_{name}"),
+        "gap": ("max_steps", f"optimum_{name}"),
+    }.get(kind, ())
