@@ -12,7 +12,7 @@ from rich.console import Console
 from marl_clean import files
 from marl_clean.compose import OUTSIDE_THE_HASH
 from marl_clean.errors import BadInput
-from marl_clean.evaluation.paired import Row, differences, make_paired_table
+from marl_clean.evaluation.paired import Row, differences, make_paired_table, without_twin
 from marl_clean.evaluation.records import MEASURED, Entry, read_entries, summarise, write_entries
 from marl_clean.evaluation.table import YARDSTICK, make_table, output
 from marl_clean.labels import labels
@@ -77,7 +77,10 @@ def main(
         if len(rows) > 1 or against is not None:
             reference = reference_of(world, rows, against)
             found = differences(rows, reference)
-            console.print(make_paired_table(found, reference))
+            if alone := without_twin(rows, reference):
+                log.warning("left out of the pairs, not on both sides: %s", "; ".join(alone))
+            if found:
+                console.print(make_paired_table(found, reference))
             paired += found
         if figure and rows and "T_100" in entries[0]["summary"]:
             draw(pools, world.others.get(YARDSTICK), found, number, console)
@@ -99,6 +102,9 @@ def gather(runs: Sequence[str]) -> list[World]:
             entries = read_entries(folder / MEASURED)
         except BadInput as error:
             log.warning("left out: %s", error)
+            continue
+        if config["name"] not in {entry["policy"] for entry in entries}:
+            log.warning("left out: %s: tells nothing of its own run", folder / MEASURED)
             continue
         if folder.resolve() in seen:
             continue

@@ -144,6 +144,33 @@ def test_only_seeds_that_both_have_are_paired_and_the_reference_can_be_chosen(tm
         compare.main(runs, None, QUIET, against="comm=dial")
 
 
+def test_seeds_that_cannot_be_paired_are_named_in_one_line(tmp_path, caplog) -> None:
+    runs = [
+        write_run(tmp_path / f"{comm}-s{seed}", [f"comm={comm}", f"seed={seed}"], [40, 60])
+        for comm, seeds in (("none", (0, 1)), ("plan", (1, 2)), ("tarmac", (3,)))
+        for seed in seeds
+    ]
+    compare.main(runs, tmp_path / "out.json", QUIET, figure=False)
+    [plan] = json.loads((tmp_path / "out_paired.json").read_text())
+    assert plan["row"] == "comm=plan" and plan["seeds"] == [1]
+    [line] = caplog.messages
+    assert "seeds 0, 2 of comm=plan and comm=none; seeds 0, 1, 3 of comm=tarmac" in line
+    compare.main([*runs[:1], *runs[4:]], tmp_path / "out.json", QUIET, figure=False)
+    assert json.loads((tmp_path / "out_paired.json").read_text()) == []
+
+
+def test_a_run_measured_without_its_own_policy_is_left_out(tmp_path, caplog) -> None:
+    good = write_run(tmp_path / "good", [], [40, 60])
+    for name, kept in (("planners", slice(1, None)), ("nothing", slice(0))):
+        run = write_run(tmp_path / name, ["seed=5"], [1, 2])
+        path = tmp_path / name / "evaluation.json"
+        path.write_text(json.dumps(json.loads(path.read_text())[kept]))
+        caplog.clear()
+        rows = compare.main([good, run], None, QUIET, figure=False)
+        assert [row["policy"] for row in rows] == ["good", "nearest_unknown"]
+        assert len(caplog.messages) == 1 and str(path) in caplog.messages[0]
+
+
 def of_houses(**changes):
     def change(entry: dict) -> None:
         for record in entry["houses"]:

@@ -77,6 +77,18 @@ def common_seeds(row: Row, reference: Row) -> list[int]:
     return sorted(both[0] & both[1])
 
 
+def without_twin(rows: Sequence[Row], reference: Row) -> list[str]:
+    """The seeds of each row that only it or the reference has, in words."""
+    told = []
+    for row in rows:
+        if None in row.runs or None in reference.runs:  # a planner stands beside every seed
+            continue
+        seeds = ", ".join(str(seed) for seed in sorted({*row.runs} ^ {*reference.runs}))
+        if seeds:
+            told.append(f"seeds {seeds} of {row.label} and {reference.label}")
+    return told
+
+
 def values(row: Row, seeds: Sequence[int], measure: str) -> Float[np.ndarray, "run house"]:
     """A measure's values, a run a row; one row of a planner."""
     entries = [row.runs[None]] if None in row.runs else [row.runs[seed] for seed in seeds]
@@ -95,7 +107,7 @@ def make_paired_table(found: Sequence[Mapping[str, Any]], reference: Row) -> Tab
         caption_justify="left",
         box=box.SIMPLE_HEAD,
     )
-    networks = any(one["parameters"] is not None for one in found)
+    networks = any(one["parameters"] is not None or len(one["seeds"]) > 1 for one in found)
     table.add_column("", no_wrap=True)
     for title in (*(("parameters", "seeds") if networks else ()), *compared(reference)):
         table.add_column(title, justify="right", no_wrap=True)
