@@ -1,6 +1,8 @@
 """Runs of several seeds are one row, and what is no run is left out in one line."""
 
 import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -159,16 +161,20 @@ def test_seeds_that_cannot_be_paired_are_named_in_one_line(tmp_path, caplog) -> 
     assert json.loads((tmp_path / "out_paired.json").read_text()) == []
 
 
-def test_a_run_measured_without_its_own_policy_is_left_out(tmp_path, caplog) -> None:
-    good = write_run(tmp_path / "good", [], [40, 60])
-    for name, kept in (("planners", slice(1, None)), ("nothing", slice(0))):
-        run = write_run(tmp_path / name, ["seed=5"], [1, 2])
-        path = tmp_path / name / "evaluation.json"
-        path.write_text(json.dumps(json.loads(path.read_text())[kept]))
-        caplog.clear()
-        rows = compare.main([good, run], None, QUIET, figure=False)
-        assert [row["policy"] for row in rows] == ["good", "nearest_unknown"]
-        assert len(caplog.messages) == 1 and str(path) in caplog.messages[0]
+@pytest.fixture(scope="module")
+def written(tmp_path_factory) -> Path:
+    """Two finished runs, written once."""
+    place = tmp_path_factory.mktemp("written")
+    write_run(place / "good", [], [40, 60])
+    write_run(place / "foreign", ["seed=5"], [1, 2])
+    return place
+
+
+@pytest.fixture
+def pair(written, tmp_path) -> list[str]:
+    """The two, to be changed."""
+    shutil.copytree(written, tmp_path, dirs_exist_ok=True)
+    return [str(tmp_path / "good"), str(tmp_path / "foreign")]
 
 
 def of_houses(**changes):
@@ -209,14 +215,12 @@ FOREIGN = {
 
 
 @pytest.mark.parametrize("what", FOREIGN)
-def test_a_foreign_entry_leaves_its_run_out_in_one_line(what, tmp_path, caplog) -> None:
-    good = write_run(tmp_path / "good", [], [40, 60])
-    foreign = write_run(tmp_path / "foreign", ["seed=5"], [1, 2])
+def test_a_foreign_entry_leaves_its_run_out_in_one_line(what, pair, tmp_path, caplog) -> None:
     path = tmp_path / "foreign" / "evaluation.json"
     entries = json.loads(path.read_text())
     FOREIGN[what](entries[0])
     path.write_text(json.dumps(entries))
-    rows = compare.main([good, foreign], None, QUIET, figure=False)
+    rows = compare.main(pair, None, QUIET, figure=False)
     assert [row["policy"] for row in rows] == ["good", "nearest_unknown"]
     [line] = caplog.messages
     assert str(path) in line and "\n" not in line
@@ -225,11 +229,9 @@ def test_a_foreign_entry_leaves_its_run_out_in_one_line(what, tmp_path, caplog) 
 @pytest.mark.parametrize(
     "text", [b'[{"schema": 1, "pol', b"[1]", b"3", b"{}", b"", b"\xff\xfe", b"[" * 100_000]
 )
-def test_a_torn_measurement_is_left_out_in_one_line(text, tmp_path, caplog) -> None:
-    good = write_run(tmp_path / "good", [], [40, 60])
-    torn = write_run(tmp_path / "torn", ["seed=5"], [1, 2])
-    (tmp_path / "torn" / "evaluation.json").write_bytes(text)
-    rows = compare.main([good, torn], None, QUIET, figure=False)
+def test_a_torn_measurement_is_left_out_in_one_line(text, pair, tmp_path, caplog) -> None:
+    (tmp_path / "foreign" / "evaluation.json").write_bytes(text)
+    rows = compare.main(pair, None, QUIET, figure=False)
     assert [row["policy"] for row in rows] == ["good", "nearest_unknown"]
     assert len(caplog.messages) == 1 and "\n" not in caplog.messages[0]
 
@@ -237,13 +239,20 @@ def test_a_torn_measurement_is_left_out_in_one_line(text, tmp_path, caplog) -> N
 @pytest.mark.parametrize(
     "text", [b"", b"- 1", b"\xff\xfea: 1", b"seed: 0\nhou", b"model:\n  _target_: os.system\n"]
 )
-def test_a_strangers_config_is_left_out_in_one_line(text, tmp_path, caplog) -> None:
-    good = write_run(tmp_path / "good", [], [40, 60])
-    foreign = write_run(tmp_path / "foreign", ["seed=5"], [1, 2])
+def test_a_strangers_config_is_left_out_in_one_line(text, pair, tmp_path, caplog) -> None:
     (tmp_path / "foreign" / "config.yaml").write_bytes(text)
-    rows = compare.main([good, foreign], None, QUIET, figure=False)
+    rows = compare.main(pair, None, QUIET, figure=False)
     assert [row["policy"] for row in rows] == ["good", "nearest_unknown"]
     assert len(caplog.messages) == 1 and "\n" not in caplog.messages[0]
+
+
+@pytest.mark.parametrize("kept", [slice(1, None), slice(0)])
+def test_a_run_measured_without_its_own_policy_is_left_out(kept, pair, tmp_path, caplog) -> None:
+    path = tmp_path / "foreign" / "evaluation.json"
+    path.write_text(json.dumps(json.loads(path.read_text())[kept]))
+    rows = compare.main(pair, None, QUIET, figure=False)
+    assert [row["policy"] for row in rows] == ["good", "nearest_unknown"]
+    assert len(caplog.messages) == 1 and str(path) in caplog.messages[0]
 
 
 def test_entries_of_before_a_measure_are_pooled_without_it(tmp_path, caplog) -> None:
