@@ -160,6 +160,7 @@ COMMANDS = {
     "doctor": doctor,
 }
 WITHOUT_SETTINGS = ("list", "doctor", "compare", "matrix")
+ALSO = {"compare": "; draws runs/figures/compare.svg and .png, compare_2 of a second world, ..."}
 USAGE = """\
 marl-clean COMMAND [key=value ...]
 
@@ -213,7 +214,8 @@ def _run(argv: Sequence[str]) -> int:
 
 
 def _parser(name: str) -> Parser:
-    parser = Parser(prog=f"marl-clean {name}", description=COMMANDS[name].__doc__)
+    about = COMMANDS[name].__doc__
+    parser = Parser(prog=f"marl-clean {name}", description=f"{about}{ALSO.get(name, '')}")
     if name == "figure":
         parser.add_argument("name", metavar="NAME", help="the figure, such as paper_1")
     if name == "train":

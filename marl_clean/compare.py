@@ -54,7 +54,7 @@ def main(
     """Print two tables for every set of houses and return their entries, those of all seeds pooled.
 
     The first has means, the second each setting's paired difference to one of them: `against`,
-    or the one that differs in nothing but `comm=none`, or the first. Intervals over several seeds
+    or the first that is silent (`comm=none`), or the first. Intervals over several seeds
     resample runs and then houses. A folder without a finished run is named in one line and left
     out. `out`: where the entries are written as json; the differences are written beside it, as
     `<out>_paired.json`. `figure`: draw runs/figures/compare*.png and .svg.
@@ -78,7 +78,8 @@ def main(
             reference = reference_of(world, rows, against)
             found = differences(rows, reference)
             if alone := without_twin(rows, reference):
-                log.warning("left out of the pairs, not on both sides: %s", "; ".join(alone))
+                told = "; ".join(alone)
+                log.warning("seeds without a twin beside %s: %s", reference.label, told)
             if found:
                 console.print(make_paired_table(found, reference))
             paired += found
@@ -134,7 +135,7 @@ def rows_of(world: World) -> list[Row]:
 
 
 def reference_of(world: World, rows: Sequence[Row], against: str | None) -> Row:
-    """The row that the others are held against: the one asked for, the silent one, or the first.
+    """The row that the others are held against: the one asked for, a silent one, or the first.
 
     Raises BadInput where none is called so.
     """
@@ -149,7 +150,7 @@ def reference_of(world: World, rows: Sequence[Row], against: str | None) -> Row:
         for row, setting in zip(rows, world.settings.values(), strict=True)
         if setting.config["comm"]["_target_"].split(".")[2] == "none"
     ]
-    return silent[0] if len(silent) == 1 else rows[0]
+    return [*silent, *rows][0]
 
 
 def draw(

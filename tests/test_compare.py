@@ -156,7 +156,7 @@ def test_seeds_that_cannot_be_paired_are_named_in_one_line(tmp_path, caplog) -> 
     [plan] = json.loads((tmp_path / "out_paired.json").read_text())
     assert plan["row"] == "comm=plan" and plan["seeds"] == [1]
     [line] = caplog.messages
-    assert "seeds 0, 2 of comm=plan and comm=none; seeds 0, 1, 3 of comm=tarmac" in line
+    assert line == "seeds without a twin beside comm=none: comm=plan: 0, 2; comm=tarmac: 0, 1, 3"
     compare.main([*runs[:1], *runs[4:]], tmp_path / "out.json", QUIET, figure=False)
     assert json.loads((tmp_path / "out_paired.json").read_text()) == []
 
@@ -289,14 +289,31 @@ def test_tasks_of_others_are_compared_by_their_return(tmp_path) -> None:
     assert plan["return"]["mean"] == 9.5 and "T_90" not in plan
 
 
-def test_the_figure_is_drawn(tmp_path, monkeypatch) -> None:
+def test_a_silent_row_is_the_reference_wherever_it_stands(tmp_path) -> None:
+    runs = [
+        write_run(tmp_path / f"{comm}-{reward}", [f"comm={comm}", f"reward={reward}"], [40, 60])
+        for comm in ("plan", "none")
+        for reward in ("team", "individual")
+    ]
+    compare.main(runs, tmp_path / "out.json", QUIET, figure=False)
+    paired = json.loads((tmp_path / "out_paired.json").read_text())
+    assert {one["reference"] for one in paired} == {"reward=team comm=none"}
+
+
+def test_the_figure_is_drawn_in_multiples_of_the_planner(tmp_path, monkeypatch) -> None:
     runs = [
         write_run(tmp_path / "plan", [], [40, 60]),
         write_run(tmp_path / "none", ["comm=none"], [50, 50]),
     ]
     monkeypatch.chdir(tmp_path)
     compare.main(runs, None, QUIET)
-    assert {path.name for path in (tmp_path / "runs/figures").iterdir()} == {
-        "compare.png",
-        "compare.svg",
-    }
+    figures = tmp_path / "runs/figures"
+    assert {path.name for path in figures.iterdir()} == {"compare.png", "compare.svg"}
+    text = (figures / "compare.svg").read_text()
+    for told in (
+        "T_90 / nearest_unknown's",
+        "T_100 minus reference's",
+        "comm=plan",
+        "may be chance",
+    ):
+        assert told in text

@@ -78,14 +78,14 @@ def common_seeds(row: Row, reference: Row) -> list[int]:
 
 
 def without_twin(rows: Sequence[Row], reference: Row) -> list[str]:
-    """The seeds of each row that only it or the reference has, in words."""
+    """Each row's seeds that not both have, it and the reference, in words."""
     told = []
     for row in rows:
         if None in row.runs or None in reference.runs:  # a planner stands beside every seed
             continue
         seeds = ", ".join(str(seed) for seed in sorted({*row.runs} ^ {*reference.runs}))
         if seeds:
-            told.append(f"seeds {seeds} of {row.label} and {reference.label}")
+            told.append(f"{row.label}: {seeds}")
     return told
 
 

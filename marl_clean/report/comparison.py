@@ -7,6 +7,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from marl_clean.evaluation.paired import LEVEL
 from marl_clean.evaluation.records import Entry
 from marl_clean.evaluation.table import YARDSTICK
 from marl_clean.report.axes import STYLE, new_figure, unit
@@ -23,24 +24,36 @@ def draw_comparison(
     """A row a policy: houses finished, T_90 and T_100; hollow: nearest_unknown in the same world.
 
     Bars are 95 % intervals of the mean; a house not finished counts as its max_steps. With paired
-    `differences` to one of the rows (`evaluation.paired`) a last panel shows those of T_90.
+    `differences` to one of the rows (`evaluation.paired`) all rows are of one world: times are
+    then multiples of nearest_unknown's, where it was measured, and panels of differences follow.
     """
+    planners = [planner for _, planner in rows.values()]
+    relative = bool(differences) and None not in planners
+    if differences:
+        title += (
+            f"\ndifferences on the same houses and seeds, reference: {differences[0]['reference']}"
+        )
     with matplotlib.rc_context(STYLE):
-        figure = new_figure(11.5 if differences else 9.0, 1.5 + 0.38 * len(rows))
+        count = 1 + len(TIMES) * (2 if differences else 1)
+        figure = new_figure(9.0 if count == 3 else 13.0, 1.5 + 0.38 * len(rows))
         figure.suptitle(title, fontsize=9, x=0.01, ha="left")
-        panels = figure.subplots(1, 1 + len(TIMES) + bool(differences), sharey=True)
+        panels = figure.subplots(1, count, sharey=True)
         _draw_finished(panels[0], rows)
         for axes, measure in zip(panels[1:], TIMES, strict=False):
-            _draw_measure(axes, rows, measure)
-        if differences:
-            _draw_differences(panels[-1], list(rows), differences)
+            _draw_measure(axes, rows, measure, relative)
+        for axes, measure in zip(panels[1 + len(TIMES) :], TIMES, strict=False):
+            _draw_differences(axes, list(rows), differences, measure)
         panels[0].set_yticks(range(len(rows)), list(rows))
-        panels[0].invert_yaxis()
         panels[0].set_ylim(len(rows) - 0.5, -0.5)
-        handles, labels = panels[len(TIMES)].get_legend_handles_labels()
+        named = {
+            label: handle
+            for axes in panels
+            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        }
         figure.legend(
-            handles, labels, frameon=False, fontsize=7, ncols=2, loc="outside lower right"
-        )
+            named.values(), named.keys(),
+            frameon=False, fontsize=7, ncols=len(named), loc="outside lower right",
+        )  # fmt: skip
         return figure
 
 
@@ -54,39 +67,47 @@ def _draw_finished(axes: Axes, rows: Mapping[str, Pair]) -> None:
     _label(axes, "houses finished, %")
 
 
-def _draw_measure(axes: Axes, rows: Mapping[str, Pair], measure: str) -> None:
+def _draw_measure(
+    axes: Axes, rows: Mapping[str, Pair], measure: str, relative: bool = False
+) -> None:
+    """A time's mean and interval beside the planner's, or as multiples of it."""
     for place, pair in enumerate(rows.values()):
         learned, planner = (entry and entry["summary"][measure] for entry in pair)
         assert learned is not None
-        low, high = learned["ci95"]
+        unit_steps = planner["mean"] if relative and planner else 1.0
+        low, high = (end / unit_steps for end in learned["ci95"])
         first = place == 0
         axes.plot([low, high], [place, place], color=unit(ROBOTS[0]), linewidth=1.5)
         axes.plot(
-            learned["mean"], place, "o", color=unit(ROBOTS[0]), label="learned" if first else None
-        )
-        if planner is None:
-            continue
-        axes.plot(
-            planner["mean"], place, "o", color=unit(INK), fillstyle="none",
-            label=YARDSTICK if first else None,
+            learned["mean"] / unit_steps, place, "o", color=unit(ROBOTS[0]),
+            label="learned" if first else None,
         )  # fmt: skip
+        if planner is not None:
+            axes.plot(
+                planner["mean"] / unit_steps, place, "o", color=unit(INK), fillstyle="none",
+                label=YARDSTICK if first else None,
+            )  # fmt: skip
     axes.set_xlim(left=0)
-    _label(axes, f"{measure}, steps")
+    _label(axes, f"{measure} / {YARDSTICK}'s" if relative else f"{measure}, steps")
 
 
 def _draw_differences(
-    axes: Axes, labels: Sequence[str], differences: Sequence[Mapping[str, Any]]
+    axes: Axes, labels: Sequence[str], differences: Sequence[Mapping[str, Any]], measure: str
 ) -> None:
-    """Paired differences of T_90; filled where it holds after correction for several."""
+    """Paired differences of a time, in steps; filled where more than chance by itself."""
     axes.axvline(0, color=unit(INK), linewidth=0.8)
     for one in differences:
-        place, found = labels.index(one["row"]), one["T_90"]
+        place, found = labels.index(one["row"]), one[measure]
         if found["mean"] is None:
             continue
         axes.plot(found["ci95"], [place, place], color=unit(ROBOTS[1]), linewidth=1.5)
-        style = "full" if found["p_holm"] < 0.05 else "none"
-        axes.plot(found["mean"], place, "o", color=unit(ROBOTS[1]), fillstyle=style)
-    _label(axes, f"T_90 minus that of {differences[0]['reference']}")
+        sure = found["p"] < LEVEL
+        axes.plot(
+            found["mean"], place, "o", color=unit(ROBOTS[1]),
+            fillstyle="full" if sure else "none",
+            label="p < 0.05, uncorrected" if sure else "may be chance",
+        )  # fmt: skip
+    _label(axes, f"{measure} minus reference's, steps")
 
 
 def _label(axes: Axes, title: str) -> None:
