@@ -47,8 +47,10 @@ def check_plans(config: DictConfig) -> None:
 
 def check_teams(config: DictConfig) -> None:
     """Raises BadInput for a size of `evaluation.team_sizes` that the learner cannot have, or for
-    which the houses have no room."""
+    which the houses have no room; a task of others brings its own robots."""
     for size in config.evaluation.get("team_sizes", []):
+        if not plays_houses(config):
+            raise BadInput("evaluation.team_sizes: env is a task of others; valid: []")
         if "env.n_agents" in (constant(config.agent._target_, "sized_by") or []):
             level = config.agent._target_.split(".")[2]
             raise BadInput(

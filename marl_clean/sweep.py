@@ -68,15 +68,25 @@ def named_jobs(parsed: Sequence[Override]) -> list[list[str]]:
 
 
 def of_preset(parsed: Sequence[Override]) -> list[Override]:
-    """What the chosen preset sweeps, but for keys that the settings give values of their own."""
+    """What the chosen preset sweeps, but for keys that the settings give values of their own.
+
+    Raises BadInput where one of several presets says a sweep, which would be another's too.
+    """
     given = {override.get_key_element() for override in parsed}
-    chosen = [
-        o.value() for o in parsed if o.key_or_group == EXPERIMENT and not o.is_sweep_override()
+    presets = [o for o in parsed if o.key_or_group == EXPERIMENT][-1:]
+    names = [
+        str(name)
+        for o in presets
+        for name in (o.sweep_string_iterator() if o.is_discrete_sweep() else [o.value()])
+        if name is not None
     ]
-    if not chosen or chosen[-1] is None:
-        return []
-    swept = sweep_of(conf_folder() / EXPERIMENT / f"{chosen[-1]}.yaml")
-    return parse_overrides([f"{key}={value}" for key, value in swept.items() if key not in given])
+    found: dict[str, str] = {}
+    for name in names:
+        swept = sweep_of(conf_folder() / EXPERIMENT / f"{name}.yaml")
+        if swept and len(names) > 1:
+            raise BadInput(f"{EXPERIMENT}: {name} is a sweep of its own; give it alone")
+        found |= swept
+    return parse_overrides([f"{key}={value}" for key, value in found.items() if key not in given])
 
 
 def sweep_jobs(parsed: Sequence[Override]) -> list[list[str]]:

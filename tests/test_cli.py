@@ -1,5 +1,6 @@
 """The commands: exit codes, one line for bad input, and nothing left behind."""
 
+import math
 import os
 import resource
 import signal
@@ -11,7 +12,14 @@ from pathlib import Path
 import pytest
 
 from marl_clean import __version__, cli, listing
-from marl_clean.compose import conf_folder, rooms
+from marl_clean.compose import conf_folder, parse_overrides, rooms
+from marl_clean.presets import sweep_of
+from marl_clean.stored import load_config
+from marl_clean.sweep import named_jobs
+
+SWEEPING = [
+    path.stem for path in sorted((conf_folder() / "experiment").glob("*.yaml")) if sweep_of(path)
+]
 
 # Through the command line for real: (arguments, what the one line names).
 BAD_COMMANDS = {
@@ -44,6 +52,12 @@ MORE_BAD_COMMANDS = {
     "train -m seed=1,x": "seed",
     "train -m seed=interval(0,1)": "seed",
     "train -m comm=plan,plam": "did you mean plan?",
+    "train -m +experiment=comm_comparison,quick": "experiment: comm_comparison is a sweep",
+    "train evaluation.team_sizes=[2,0]": "evaluation.team_sizes",
+    "train evaluation.team_sizes=[99]": "evaluation.team_sizes: 99: ",
+    "train -m evaluation.team_sizes=[99] seed=1,2": "evaluation.team_sizes: 99: ",
+    "train +experiment=paper_central evaluation.team_sizes=[3]": "agent=central_dqn is of env.n",
+    "train +experiment=spread evaluation.team_sizes=[3]": "a task of others; valid: []",
     "train -m agent.lr=1,2 sed=3": "did you mean seed?",
     "evaluate out=.": "out=.",
     "evaluate out=walls.txt/x.json": "walls.txt",
@@ -170,6 +184,32 @@ def test_a_sweep_gives_every_combination_its_folder(place: Path, trained: list[s
 def test_a_named_sweep_is_one_folder_of_jobs(place: Path, trained: list[str]) -> None:
     assert cli.main([*SWEEP, "name=lamp", "seed=range(0,3)"]) == 0
     assert len(trained) == 3 and files_in(place / "runs") == {"lamp"}
+
+
+def test_a_preset_says_its_sweep_and_settings_win_key_by_key(
+    place: Path, trained: list[str]
+) -> None:
+    assert cli.main([*SWEEP, "+experiment=reward_sharing", "seed=7", "comm=none,plan"]) == 0
+    assert len(set(trained)) == 2 * 3  # comm x reward, of one seed
+    configs = [load_config(place / "runs" / name) for name in trained]
+    assert {config["seed"] for config in configs} == {7}
+    assert {config["env"]["memory"] for config in configs} == {"shared"}
+    asked = {(c["comm"]["_target_"], c["reward"]["_target_"]) for c in configs}
+    assert len(asked) == 6
+    assert all("hydra" not in config for config in configs)
+
+
+def test_a_preset_that_sweeps_is_one_run_without_m(place: Path, trained: list[str]) -> None:
+    assert cli.main(["train", "+experiment=reward_sharing"]) == 0
+    [name] = trained
+    assert name.startswith("reward_sharing-")
+
+
+@pytest.mark.parametrize("preset", SWEEPING)
+def test_every_sweep_of_a_preset_is_made_of_distinct_sound_jobs(preset: str) -> None:
+    swept = sweep_of(conf_folder() / "experiment" / f"{preset}.yaml")
+    jobs = named_jobs(parse_overrides([f"experiment={preset}"]))
+    assert len(jobs) == math.prod(len(values.split(",")) for values in swept.values())
 
 
 def test_every_job_is_checked_before_the_first_runs(place: Path, trained: list[str]) -> None:
