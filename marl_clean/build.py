@@ -1,5 +1,6 @@
 """From a config to live objects: the one place where the rooms are put together."""
 
+from bisect import bisect_right
 from pathlib import Path
 
 import torch
@@ -143,9 +144,11 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     Weights are drawn from torch's global generator: seed it first.
 
     Raises:
-        BadInput: the encoder does not take what robots see.
+        BadInput: the encoder does not take what robots see, or `parameter_budget` is too small.
     """
     check_fit(cfg)
+    if cfg.get("parameter_budget") is not None:
+        cfg = as_wide_as_allowed(cfg, env)
     seen = env.observation_spec[keys.OBSERVATION].shape[2:]
     encoder = instantiate(cfg.encoder, observation_shape=seen)
     comm = make_comm(cfg.comm, encoder.out_features, seen)
@@ -162,6 +165,38 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
         num_actions=env.full_action_spec[keys.ACTION].n,
         device=cfg.device,
     )
+
+
+def as_wide_as_allowed(cfg: DictConfig, env: TransformedEnv) -> DictConfig:
+    """Return `cfg` with the encoder's features as wide as `parameter_budget` allows.
+
+    Counted are encoder, scheme and head, so that networks with different schemes are of one
+    size. What a channel learns is not: over another one the network is the same.
+
+    Raises:
+        BadInput: not even one feature fits.
+    """
+    budget = cfg.parameter_budget
+    sized = cfg.copy()
+    sized.parameter_budget = None
+
+    def size(width: int) -> int:
+        sized.encoder.hidden = [*cfg.encoder.hidden[:-1], width]
+        with torch.random.fork_rng([]):
+            weights = make_agent(sized, env).network.named_parameters()
+        return sum(one.numel() for name, one in weights if not name.startswith("channel."))
+
+    if (least := size(1)) > budget:
+        raise BadInput(
+            f"parameter_budget={budget}: the rest of the network has {least} already; give more"
+        )
+    too_wide = 2
+    while size(too_wide) <= budget:
+        too_wide *= 2
+    allowed = range(too_wide // 2, too_wide)
+    width = allowed[bisect_right(allowed, budget, key=size) - 1]
+    sized.encoder.hidden = [*cfg.encoder.hidden[:-1], width]
+    return sized
 
 
 def ready_for(agent: Agent, env: TransformedEnv) -> TransformedEnv:

@@ -49,7 +49,7 @@ def train(arguments: argparse.Namespace) -> int:
 def evaluate(arguments: argparse.Namespace) -> int:
     """measure checkpoint=RUN or planner=NAME on held-out houses or on a plan; intervention=all"""
     from marl_clean.checks import check_out
-    from marl_clean.compose import config_hash
+    from marl_clean.config_hash import config_hash
     from marl_clean.stored import RUNS, compose_for_policy
 
     asked = [text.partition("=")[2] for text in arguments.settings if text.startswith(INTERVENE)]

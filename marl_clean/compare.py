@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 
 from marl_clean import files
-from marl_clean.compose import OUTSIDE_THE_HASH
+from marl_clean.config_hash import OUTSIDE_THE_HASH
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.paired import Row, differences, make_paired_table, without_twin
 from marl_clean.evaluation.records import MEASURED, Entry, read_entries, summarise, write_entries

@@ -4,8 +4,6 @@ Hydra composes the defaults of `conf/` with the settings, `schema` holds the res
 constructors' signatures, and what is wrong becomes one line.
 """
 
-import hashlib
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from marl_clean import schema
+from marl_clean.config_hash import config_hash, container
 from marl_clean.errors import BadInput
 from marl_clean.presets import read_preset
 from marl_clean.settings import Evaluation, Root
@@ -31,7 +30,6 @@ BUDGET = "budget"
 PRESETS = (EXPERIMENT, BUDGET)  # groups that set keys of several rooms, and are none themselves
 SEVERAL = ("logger", "channel")  # rooms of which several levels may be taken at once, by name
 PERFECT = {"perfect": {"_target_": "marl_clean.channel.perfect.Perfect"}}
-OUTSIDE_THE_HASH = ("hydra", "name", "device", "logger", "checkpoint", "out")
 WEIGHTS = "weights"  # of the root; not the user's to set
 
 
@@ -61,22 +59,6 @@ def compose_config(overrides: Sequence[str] = ()) -> DictConfig:
 def plays_houses(config: DictConfig) -> bool:
     """Whether the config's env is played in houses, or is a task of others that has none."""
     return schema.takes(config.env._target_, "houses")
-
-
-def config_hash(config: DictConfig) -> str:
-    """sha256 over sorted compact JSON of what decides a run's result.
-
-    Weights that a run starts from belong to it; a run without any is called as ever.
-    """
-    content = {
-        key: value
-        for key, value in _container(config).items()
-        if key not in OUTSIDE_THE_HASH and (key, value) != (WEIGHTS, None)
-    }
-    if len(stack := list(content.get("channel", ()))) > 1:
-        content["channel order"] = stack  # keys are sorted, and what crosses first matters
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def parse_overrides(overrides: Sequence[str], hydra_too: bool = False) -> list[Override]:
@@ -118,11 +100,11 @@ def apply(config: dict[str, Any], parsed: Sequence[Override]) -> dict[str, Any]:
                 levels |= chosen
                 sets += values
     levels |= {o.key_or_group: o.value() for o in parsed if o.key_or_group in rooms()}
-    composed = _container(_composed(parse_overrides([f"{k}={v}" for k, v in levels.items()])))
+    composed = container(_composed(parse_overrides([f"{k}={v}" for k, v in levels.items()])))
     chosen_levels = {room: composed[room] for room in levels}
     merged = OmegaConf.create(config | chosen_levels)
     merged.merge_with(*sets)
-    known = _container(merged)
+    known = container(merged)
     for override in parsed:
         key = override.key_or_group
         if key in groups():
@@ -223,7 +205,7 @@ def _composed(parsed: Sequence[Override]) -> DictConfig:
 
 def _why_not(parsed: Sequence[Override], error: HydraException) -> str:
     chosen = [o.input_line or "" for o in parsed if o.key_or_group in groups()]
-    known = _container(compose("config", chosen))
+    known = container(compose("config", chosen))
     for key in (o.key_or_group for o in parsed if o.input_line not in chosen):
         if key not in set(_keys(known)):
             return _unknown(key, known)
@@ -290,12 +272,6 @@ def _keys(tree: Any, prefix: str = "") -> Iterator[str]:
         yield f"{prefix}{key}"
         if isinstance(value, Mapping):
             yield from _keys(value, f"{prefix}{key}.")
-
-
-def _container(config: DictConfig) -> dict[str, Any]:
-    plain = OmegaConf.to_container(config, resolve=False)
-    assert isinstance(plain, dict)
-    return {str(key): value for key, value in plain.items()}
 
 
 def _first_line(error: Exception) -> str:

@@ -12,7 +12,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from marl_clean.compose import OUTSIDE_THE_HASH, checked, compose_config
+from marl_clean.compose import checked, compose_config
+from marl_clean.config_hash import OUTSIDE_THE_HASH
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.records import Entry
 from marl_clean.evaluation.table import interval, output, percent

@@ -19,10 +19,10 @@ from marl_clean.compose import (
     checked,
     compose_config,
     conf_folder,
-    config_hash,
     parse_overrides,
     rooms,
 )
+from marl_clean.config_hash import config_hash
 from marl_clean.errors import BadInput
 from marl_clean.manifest import weights_sha256
 from marl_clean.safe_yaml import load_yaml
@@ -31,7 +31,7 @@ from marl_clean.settings import LaterEvaluation, Root
 
 RUNS = Path("runs")
 CONFIG = "config.yaml"
-NETWORK = ("observation", "encoder", "comm", "agent")
+NETWORK = ("observation", "encoder", "comm", "agent", "parameter_budget")
 SAME_NETWORK = ("observation.position_noise",)  # of these rooms, but any weights play with it
 BESIDE_THE_WEIGHTS = ("encoder.dropout", "encoder.channels_last")  # how they learn, or are stored
 

@@ -18,7 +18,8 @@ from marl_clean.checks import (
     check_plans,
     check_teams,
 )
-from marl_clean.compose import EXPERIMENT, conf_folder, config_hash, own_hydra, parse_overrides
+from marl_clean.compose import EXPERIMENT, conf_folder, own_hydra, parse_overrides
+from marl_clean.config_hash import config_hash
 from marl_clean.errors import BadInput
 from marl_clean.fitting import check_fit
 from marl_clean.presets import sweep_of

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from marl_clean import comparison, train
 from marl_clean.comparison import COMPARISONS, jobs_of
-from marl_clean.compose import config_hash
+from marl_clean.config_hash import config_hash
 from marl_clean.errors import BadInput
 
 TINY = [

@@ -10,7 +10,8 @@ from hydra import initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
 from marl_clean import compose, schema, settings
-from marl_clean.compose import compose_config, config_hash
+from marl_clean.compose import compose_config
+from marl_clean.config_hash import config_hash
 from marl_clean.errors import BadInput
 from marl_clean.stored import check_same_run, compose_for_policy
 

@@ -24,7 +24,7 @@ HANDED_OVER = {"margin", "house_order", "first_env", "seed", "device"}
 
 FLOORS = [
     {"errors", "keys", "settings", "schema", "safe_yaml", "plan_files", "files", "viewer"}
-    | {"symmetry", "world", "manifest", "presets", "delivery", "live_edges"},
+    | {"symmetry", "config_hash", "world", "manifest", "presets", "delivery", "live_edges"},
     {"house", "floorplan_readers"},
     {"env"},
     {"transform", "channel_seed", "global_state", "observation", "topology", "reward"}

@@ -10,7 +10,8 @@ from omegaconf import OmegaConf
 
 from marl_clean import build, cli, train
 from marl_clean.checkpoint import FOLDER, Checkpoints, load_weights
-from marl_clean.compose import compose_config, config_hash
+from marl_clean.compose import compose_config
+from marl_clean.config_hash import config_hash
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.records import read_entries
 from marl_clean.stored import compose_for_policy, compose_for_training, load_config
@@ -191,6 +192,7 @@ REFUSED = {
     ),
     "checkpoint=before observation.view_size=13": "observation.view_size: 13 does not fit",
     "checkpoint=before comm=none": "does not fit checkpoint before",
+    "checkpoint=before parameter_budget=9000": "parameter_budget: 9000 does not fit",
     "checkpoint=before encoder.channels=[4,5]": "encoder.channels",
     "checkpoint=before agent.dueling=false": "agent.dueling: False does not fit",
     "checkpoint=before agent.lrr=1": "did you mean lr?",

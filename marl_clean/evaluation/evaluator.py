@@ -16,7 +16,8 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from marl_clean import build
-from marl_clean.compose import compose_config, config_hash, plays_houses
+from marl_clean.compose import compose_config, plays_houses
+from marl_clean.config_hash import config_hash
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.episodes import RANDOM, measure_return
