@@ -1,4 +1,4 @@
-"""What the policies of several learners share: reading and writing a network's step in a frame."""
+"""What several learners share: reading and writing what networks and losses take of a frame."""
 
 from collections.abc import Sequence
 
@@ -44,6 +44,19 @@ def note_talk(frame: TensorDictBase, talk: Talk) -> None:
     """Write what was said, and what it cost."""
     for key, value in zip(TOLD, (talk.message, talk.edges, talk.bits), strict=True):
         frame.set(key, value)
+
+
+def give_robots_endings(frames: TensorDictBase) -> None:
+    """Write for each robot that it ended when its world did, `[*B, agent, 1]`."""
+    shape = frames["next", keys.REWARD].shape
+    for key in (keys.DONE, keys.TERMINATED):
+        frames["next", keys.AGENTS, key] = frames["next", key].unsqueeze(-1).expand(shape)
+
+
+def take_team_reward(frames: TensorDictBase) -> None:
+    """Write what the team is paid, `[*B, 1]`: under `reward=team` it is the same for each robot."""
+    frames["next", "reward"] = frames["next", keys.REWARD][..., 0, :]
+    frames[keys.STEPS_TO_NEXT_OBS] = frames[keys.STEPS_TO_NEXT_OBS].unsqueeze(-1)
 
 
 class Greedy(TensorDictModuleBase):

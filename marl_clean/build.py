@@ -217,9 +217,8 @@ def start_from(agent: Agent, cfg: DictConfig) -> None:
     folder = find_run(cfg.checkpoint)
     if weights_sha256(folder) != cfg.weights:
         raise BadInput(f"checkpoint={cfg.checkpoint}: its weights have changed; start anew")
-    weights = load_weights(folder).tree
-    fit_weights(agent.network, weights, folder)
-    agent.start_from(weights)
+    fit_weights(agent.network, load_weights(folder).tree, folder)
+    agent.start_from_network()
 
 
 def load_policy(folder: Path, channel: DictConfig | None = None) -> TensorDictModuleBase:

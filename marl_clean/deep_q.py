@@ -16,10 +16,10 @@ from torchrl.objectives.utils import TargetNetUpdater
 
 from marl_clean import keys, symmetry
 from marl_clean.agent.base import Agent, Channels, Count
-from marl_clean.comm.base import Comm, NoisyWhileLearning
+from marl_clean.comm.base import Comm
 from marl_clean.encoder.base import Encoder
 from marl_clean.errors import BadInput
-from marl_clean.networks import NUM_ACTIONS
+from marl_clean.networks import NUM_ACTIONS, noisy_parts, set_noise
 from marl_clean.settings import PositiveFloat, PositiveInt, PositiveShare, Precision, Probability
 
 
@@ -126,8 +126,7 @@ class DeepQ(Agent):
             self._target = SoftUpdateAtOnce(self._loss, tau=tau)
         else:  # HardUpdate copies in the update after its interval is full
             self._target = HardUpdate(self._loss, value_network_update_interval=target_period - 1)
-        noisy = (nn.Dropout, NoisyWhileLearning)
-        self._noisy = [m for m in self.network.modules() if isinstance(m, noisy)]
+        self._noisy = noisy_parts(self.network)
         learnt = nn.ModuleList([self.network, *self.only_in_learning()])
         self._parameters = list(learnt.parameters())
         self._optimiser = torch.optim.Adam(self._parameters, lr=lr, fused=True)
@@ -205,7 +204,7 @@ class DeepQ(Agent):
 
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Take one step of Adam on a batch of frames, then let the target network follow."""
-        self._set_noise(True)
+        set_noise(self._noisy, True)
         frames = self._frames_to_learn(batch)
         loss = self._loss(frames)["loss"] + self.side_loss(frames)
         self._optimiser.zero_grad()
@@ -213,12 +212,8 @@ class DeepQ(Agent):
         grad_norm = nn.utils.clip_grad_norm_(self._parameters, self.max_grad_norm)
         self._optimiser.step()
         self._target.step()
-        self._set_noise(False)
+        set_noise(self._noisy, False)
         return {"loss": loss.detach(), "grad_norm": grad_norm}
-
-    def _set_noise(self, active: bool) -> None:
-        for module in self._noisy:
-            module.train(active)
 
     def _frames_to_learn(self, batch: TensorDictBase) -> TensorDictBase:
         """Return the batch as the loss wants it; turned and mirrored if augmented."""

@@ -100,10 +100,11 @@ def gather(runs: Sequence[str]) -> dict[str, Trained]:
 
 def trained_over(groups: Mapping[str, Trained]) -> dict[str, DictConfig]:
     """The distinct channels of the runs, called after what sets them apart."""
-    sections = []
+    sections: list[dict[str, Any]] = []
     for trained in groups.values():
-        if trained.config["channel"] not in sections:
-            sections.append(trained.config["channel"])
+        section = trained.config["channel"]
+        if list(section.items()) not in [list(one.items()) for one in sections]:  # order matters
+            sections.append(section)
     names = labels([{"channel": section} for section in sections], ())
     short = [name.removeprefix("channel=") for name in names]
     alone = ["+".join(section) for section in sections]

@@ -1,6 +1,6 @@
 """The networks from what robots see to action values, that several learners share."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 
 import torch
@@ -13,7 +13,7 @@ from marl_clean import keys
 from marl_clean.channel.base import Channel, Crossing
 from marl_clean.channel.delayed import Later
 from marl_clean.channel.perfect import Perfect
-from marl_clean.comm.base import Comm, Talk
+from marl_clean.comm.base import Comm, NoisyWhileLearning, Talk
 from marl_clean.delivery import Delivery, Repeated
 from marl_clean.encoder.base import Encoder
 from marl_clean.settings import Precision
@@ -31,6 +31,17 @@ def duel(value: Float[Tensor, "*batch one_and_actions"]) -> Float[Tensor, "*batc
     """
     advantage = value[..., 1:]
     return value[..., :1] + advantage - advantage.mean(-1, keepdim=True)
+
+
+def noisy_parts(network: nn.Module) -> list[nn.Module]:
+    """Return the parts that draw while the network learns, and only then."""
+    return [m for m in network.modules() if isinstance(m, nn.Dropout | NoisyWhileLearning)]
+
+
+def set_noise(parts: Iterable[nn.Module], active: bool) -> None:
+    """Let noisy parts draw, or be functions of their input."""
+    for part in parts:
+        part.train(active)
 
 
 class RobotsNetwork(nn.Module):

@@ -23,9 +23,9 @@ from torchrl.objectives.value import GAE
 from marl_clean import acting, keys
 from marl_clean.acting import Greedy
 from marl_clean.agent.base import Agent, Channels, Count
-from marl_clean.comm.base import Comm, NoisyWhileLearning
+from marl_clean.comm.base import Comm
 from marl_clean.encoder.base import Encoder
-from marl_clean.networks import NUM_ACTIONS, RobotsNetwork
+from marl_clean.networks import NUM_ACTIONS, RobotsNetwork, noisy_parts, set_noise
 from marl_clean.settings import (
     NonNegativeFloat,
     PositiveFloat,
@@ -98,6 +98,9 @@ class Ppo(Agent):
     messages are made anew in the loss, so gradients cross live edges. Measured and watched is the
     most likely action. The critic is for learning alone.
 
+    What draws while it learns (dropout, dial's noise, ic3net's gate) does not while it plays, so
+    there ratios differ from 1 even in the first step on a block.
+
     Args:
         encoder, comm, channels: the policy's parts; the critic gets an encoder of the same kind.
         gamma: discount of a step.
@@ -168,8 +171,7 @@ class Ppo(Agent):
         }
         self._advantages.set_keys(**of_values)
         self._loss.set_keys(action=keys.ACTION, sample_log_prob=keys.LOG_PROB, **of_values)
-        noisy = (nn.Dropout, NoisyWhileLearning)
-        self._noisy = [m for m in self.network.modules() if isinstance(m, noisy)]
+        self._noisy = noisy_parts(self.network)
         self._parameters = [*self.network.parameters(), *self.critic.parameters()]
         self._optimiser = torch.optim.Adam(self._parameters, lr=lr, fused=True)
 
@@ -214,10 +216,7 @@ class Ppo(Agent):
     def advantages(self, block: TensorDictBase) -> TensorDictBase:
         """Return what is learnt from a block `[env, time]`: advantages and returns added."""
         frames = block.select(*self.learns_from)
-        reward = frames["next", keys.REWARD]
-        for key in (keys.DONE, keys.TERMINATED):
-            ending = frames["next", key].unsqueeze(-1).expand(reward.shape)
-            frames["next", keys.AGENTS, key] = ending
+        acting.give_robots_endings(frames)
         with torch.no_grad():  # GAE itself would call the critic under vmap, which convolutions
             for part in (frames, frames["next"]):  # with channels last do not go through
                 part[keys.STATE_VALUE] = self.critic(part[keys.OBSERVATION])
@@ -226,22 +225,18 @@ class Ppo(Agent):
 
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Take one step of Adam on a minibatch: frames, or rows `[env, time]` if it unrolls."""
-        self._set_noise(True)
+        set_noise(self._noisy, True)
         found = self._loss(batch)
         loss = found["loss_objective"] + found["loss_entropy"] + found["loss_critic"]
         self._optimiser.zero_grad()
         loss.backward()
         grad_norm = nn.utils.clip_grad_norm_(self._parameters, self.max_grad_norm)
         self._optimiser.step()
-        self._set_noise(False)
+        set_noise(self._noisy, False)
         names = ("entropy", "kl_approx", "clip_fraction")
         told = {name: found[name].detach() for name in names}
         critic = found["loss_critic"].detach()
         return {"loss": loss.detach(), "loss_critic": critic, "grad_norm": grad_norm, **told}
-
-    def _set_noise(self, active: bool) -> None:
-        for module in self._noisy:
-            module.train(active)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the weights of policy and critic, and Adam's moments."""

@@ -132,6 +132,27 @@ def test_training_starts_from_the_best_weights_in_both_networks(place: Path) -> 
         build.start_from(agent, cfg)
 
 
+@pytest.mark.parametrize(("there", "here"), [("delayed", "perfect"), ("perfect", "delayed")])
+def test_training_starts_over_another_channel_than_before(
+    there: str, here: str, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    cfg = compose_config([*SMALL, f"channel={there}"])
+    before = build.make_agent(cfg, build.make_env(cfg)).network.state_dict()
+    Path("runs/over").mkdir(parents=True)
+    Path("runs/over/config.yaml").write_text(OmegaConf.to_yaml(cfg))
+    Checkpoints(Path("runs/over") / FOLDER).save("best", 1, before, {})
+    cfg = compose_for_training(["checkpoint=over", f"channel={here}"])
+    agent = build.make_agent(cfg, build.make_env(cfg))
+    build.start_from(agent, cfg)
+    state = agent.state_dict()
+    assert state["network"].keys() == state["target"].keys()
+    assert any("channel" in name for name in state["network"]) == (here == "delayed")
+    for name, weight in state["network"].items():
+        assert torch.equal(weight, state["target"][name])
+        assert "channel" in name or torch.equal(weight, before[name])
+
+
 @pytest.fixture
 def unmeasured(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the measurement after training."""

@@ -3,9 +3,11 @@
 import json
 
 import pytest
+from omegaconf import OmegaConf
 
 from marl_clean import cli
-from marl_clean.matrix import section_of
+from marl_clean.compose import compose_config
+from marl_clean.matrix import Trained, section_of, trained_over
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -66,6 +68,13 @@ def test_channels_to_measure_over_can_be_given(runs, monkeypatch):
     cells = json.loads((runs / "n.json").read_text())
     assert [cell["policy"] for cell in cells] == [f"run | {text}" for text in asked[1::2]]
     assert all(len(cell["houses"]) == 2 for cell in cells)
+
+
+def test_the_same_channels_in_another_order_are_another_column():
+    stacks = ["lossy,delayed", "delayed,lossy", "lossy,delayed"]
+    configs = [compose_config([f"channel=[{stack}]"]) for stack in stacks]
+    trained = {str(i): Trained(OmegaConf.to_container(c)) for i, c in enumerate(configs)}
+    assert list(trained_over(trained)) == ["lossy+delayed", "delayed+lossy"]
 
 
 def test_stacks_are_read_with_their_settings():

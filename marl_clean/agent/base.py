@@ -70,13 +70,12 @@ class Agent(ABC):
     def anneal(self, progress: float) -> None:
         """Set exploration for a run of which `progress`, from 0 to 1, is done."""
 
-    def start_from(self, weights: dict[str, Tensor]) -> None:
-        """Begin to learn with a network's weights, those of a target network too."""
+    def start_from_network(self) -> None:
+        """Begin to learn with the weights that the network has now: a target network's, too."""
         state = self.state_dict()
-        for name in ("network", "target"):
-            if name in state:
-                state[name] = {**state[name], **weights}
-        self.load_state_dict(state)
+        if "target" in state:
+            state["target"] = {**state["target"], **state["network"]}
+            self.load_state_dict(state)
 
     @abstractmethod
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:

@@ -6,7 +6,7 @@ from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torchrl.data import Categorical, Composite
 
-from marl_clean import keys
+from marl_clean import acting, keys
 from marl_clean.agent.base import Channels
 from marl_clean.comm.base import Comm
 from marl_clean.deep_q import DeepQ
@@ -114,8 +114,6 @@ class CentralDqn(DeepQ):
         return TensorDictSequential(self._greedy, coin, decode)
 
     def for_loss(self, frames: TensorDictBase) -> None:
-        """Number the joint actions; of the team's reward, the same for all, one is enough."""
+        """Number the joint actions."""
         frames[keys.JOINT_ACTION] = encode_joint(frames[keys.ACTION], self.num_actions)
-        frames["next", "reward"] = frames["next", keys.REWARD][..., 0, :]
-        steps = frames[keys.STEPS_TO_NEXT_OBS]
-        frames[keys.STEPS_TO_NEXT_OBS] = steps.unsqueeze(-1)
+        acting.take_team_reward(frames)

@@ -89,9 +89,7 @@ class Iql(DeepQ):
 
     def for_loss(self, frames: TensorDictBase) -> None:
         """Give every robot its endings and its steps."""
-        reward = frames["next", keys.REWARD]
-        for key in (keys.DONE, keys.TERMINATED):
-            ending = frames["next", key].unsqueeze(-1).expand(reward.shape)
-            frames["next", keys.AGENTS, key] = ending
+        acting.give_robots_endings(frames)
         steps = frames[keys.STEPS_TO_NEXT_OBS]
-        frames[keys.STEPS_TO_NEXT_OBS] = steps[..., None, None].expand(reward.shape)
+        of_robots = frames["next", keys.REWARD].shape
+        frames[keys.STEPS_TO_NEXT_OBS] = steps[..., None, None].expand(of_robots)

@@ -12,7 +12,7 @@ from torchrl.modules import VDNMixer
 from torchrl.objectives import LossModule, QMixerLoss
 from torchrl.objectives.utils import distance_loss
 
-from marl_clean import keys
+from marl_clean import acting, keys
 from marl_clean.agent.iql import Iql
 
 
@@ -108,7 +108,4 @@ class Vdn(Iql):
         return (self.mixer,)
 
     def for_loss(self, frames: TensorDictBase) -> None:
-        """Of the team's reward, the same for all, one is enough."""
-        frames["next", "reward"] = frames["next", keys.REWARD][..., 0, :]
-        steps = frames[keys.STEPS_TO_NEXT_OBS]
-        frames[keys.STEPS_TO_NEXT_OBS] = steps.unsqueeze(-1)
+        acting.take_team_reward(frames)

@@ -52,8 +52,7 @@ class Comm(nn.Module, ABC):
     the channel. A robot sends its message to each robot it may talk to, whether or not that one
     makes use of it, and every round costs: edges x numbers in a message x bits of a number.
     Results depend on live edges only, and not on how the robots are numbered. A dead edge is
-    masked by `torch.where` and never multiplied by 0, so not even NaN crosses it, in either
-    direction of the arithmetic.
+    masked, so that not even NaN crosses it, in either direction of the arithmetic (`live_edges`).
 
     Attributes:
         message_dims: numbers in the message of each round; there are as many rounds as entries,

@@ -35,7 +35,7 @@ from marl_clean.world.dynamics import MOVES, advance, commit_, episode_ends, tou
 from marl_clean.world.episode import FurnitureMoves, begin
 from marl_clean.world.furniture import move_furniture_
 from marl_clean.world.noise import unnoticed_bumps
-from marl_clean.world.random import Purpose, random_bits
+from marl_clean.world.random import Purpose, random_bits, words_of_robots
 from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import merge_maps
 from marl_clean.world.state import State
@@ -295,10 +295,8 @@ class CleaningEnv(Compiling):
 
     def draw(self, purpose: Purpose) -> Int[Tensor, "env agent"]:
         """Draw a number in [0, 2^32) for each robot: a function of seed, env, episode and step."""
-        state = self.state
-        robot = torch.arange(self.n_agents, device=self.device)
-        now = (part[:, None] for part in (self.env_index, state.episode, state.step))
-        return random_bits(self.seed_in_use, *now, purpose, robot)
+        words = words_of_robots(self.state, self.env_index, purpose)
+        return random_bits(self.seed_in_use, *words)
 
     def progress(self) -> dict[str, float]:
         """Return the share of free cells cleaned so far, mean over the worlds now played."""

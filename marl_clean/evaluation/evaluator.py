@@ -28,7 +28,7 @@ from marl_clean.keys import ACTION, MESSAGE_BITS, MESSAGE_EDGES
 from marl_clean.planner.base import Planner
 from marl_clean.schema import instantiate
 from marl_clean.settings import HouseOrder
-from marl_clean.world.random import Purpose, random_below, random_bits
+from marl_clean.world.random import Purpose, random_below, random_bits, words_of_robots
 
 PolicyFor = Callable[[TransformedEnv], nn.Module]  # a planner is bound to its env, a network is not
 
@@ -224,15 +224,7 @@ def with_random_actions(
 
     A pure function of (seed, env, episode, step, robot), like all draws of the world.
     """
-    state = env.state
-    words = (
-        env.seed_in_use,
-        env.env_index[:, None],
-        state.episode[:, None],
-        Purpose.ACTION,
-        state.step[:, None],
-        torch.arange(state.n_agents, device=action.device),
-    )
+    words = (env.seed_in_use, *words_of_robots(env.state, env.env_index, Purpose.ACTION))
     explores = random_bits(*words, 0) < round(epsilon * 2**32)
     return torch.where(explores, random_below(4, *words, 1), action)
 

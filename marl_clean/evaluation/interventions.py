@@ -74,14 +74,17 @@ class Freeze(Channel):
 
 
 class Noise(Channel):
-    """Hear each number with Gaussian noise as large as it varies itself, between robots now."""
+    """Hear each number with Gaussian noise as large as it varies itself, between robots now.
+
+    Of who chose to be silent there is nothing to hear, nor any noise.
+    """
 
     draws = True
 
     def carry(self, message: Message, edges: Edges, turn: int, step: Step) -> tuple[Message, Edges]:
         std = message.flatten(0, -2).std(0, correction=0)
         noise = step.normal(Salt.NOISE, message.shape[-1], turn)
-        return message + std * noise.to(message.dtype), edges
+        return step.unless_silent(message, message + std * noise.to(message.dtype)), edges
 
 
 class Late(Later):

@@ -95,6 +95,8 @@ class OffPolicy(Trainer):
 class OffPolicyRun(Run):
     """A run with its replay."""
 
+    settings: OffPolicy
+
     def __init__(
         self,
         settings: OffPolicy,
@@ -105,7 +107,6 @@ class OffPolicyRun(Run):
         checkpoints: Checkpoints,
     ) -> None:
         super().__init__(settings, env, agent, evaluate, loggers, checkpoints)
-        self.limits = settings
         self.windows = Windows(agent.n_steps, agent.gamma)
         self.rows = Rows(settings.window_frames) if agent.unrolls else None
         together = 1 if self.rows is None else settings.window_frames
@@ -121,9 +122,9 @@ class OffPolicyRun(Run):
             ready = ready.select(*self.agent.learns_from, keys.STEPS_TO_NEXT_OBS)
             for items in [ready.flatten()] if self.rows is None else self.rows.full(ready):
                 self.replay.extend(items)
-        limits = self.limits
-        learnable = max(0, self.frames - limits.start_frames) * limits.replay_ratio
-        owed = int(learnable / limits.batch_frames) - self.updates
+        settings = self.settings
+        learnable = max(0, self.frames - settings.start_frames) * settings.replay_ratio
+        owed = int(learnable / settings.batch_frames) - self.updates
         if not len(self.replay) or owed <= 0:
             return
         measures = [self.agent.update(self.replay.sample()) for _ in range(owed)]

@@ -84,17 +84,7 @@ class OnPolicy(Trainer):
 class OnPolicyRun(Run):
     """A run that remembers nothing but its last block."""
 
-    def __init__(
-        self,
-        settings: OnPolicy,
-        env: EnvBase,
-        agent: Agent,
-        evaluate: Evaluate,
-        loggers: list[Logger],
-        checkpoints: Checkpoints,
-    ) -> None:
-        super().__init__(settings, env, agent, evaluate, loggers, checkpoints)
-        self.limits = settings
+    settings: OnPolicy
 
     def learn(self, block: TensorDictBase) -> None:
         """Learn from the block in minibatches, `epochs` times."""
@@ -102,9 +92,9 @@ class OnPolicyRun(Run):
         assert isinstance(agent, Ppo)
         frames = agent.advantages(block)
         items = frames if agent.unrolls else frames.flatten()
-        count = len(items) * self.limits.minibatch_frames // self.limits.frames_per_batch
+        count = len(items) * self.settings.minibatch_frames // self.settings.frames_per_batch
         measures = []
-        for _ in range(self.limits.epochs):
+        for _ in range(self.settings.epochs):
             order = torch.randperm(len(items), device=items.device)
             for chosen in order.split(max(1, count)):
                 measures.append(agent.update(items[chosen]))

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from marl_clean.world.dynamics import moves_on
-from marl_clean.world.random import Purpose, happens, random_below
+from marl_clean.world.random import Purpose, happens, random_below, words_of_robots
 from marl_clean.world.state import State
 
 
@@ -17,7 +17,7 @@ def unnoticed_bumps(
     state: State, env_index: Int[Tensor, " env"], seed: int, probability: float
 ) -> Bool[Tensor, "env agent"]:
     """Tell which robots will not notice it if they bump in the step to come."""
-    return happens(probability, *_words(state, env_index, seed, Purpose.BUMP))
+    return happens(probability, seed, *words_of_robots(state, env_index, Purpose.BUMP))
 
 
 def believed_position(
@@ -28,15 +28,9 @@ def believed_position(
     Up, right, down or left, each as likely. Nobody thinks that it is outside the house: at its
     edge some of these are the true place.
     """
-    words = _words(state, env_index, seed, Purpose.PLACE)
+    words = (seed, *words_of_robots(state, env_index, Purpose.PLACE))
     direction = random_below(4, *words, 1)
     beside = state.position + moves_on(state.position.device)[direction]
     last = torch.stack([state.rows, state.cols], -1)[:, None] - 1
     beside = beside.clamp(min=0).minimum(last)
     return torch.where(happens(probability, *words, 0)[..., None], beside, state.position)
-
-
-def _words(state: State, env_index: Int[Tensor, " env"], seed: int, purpose: Purpose) -> tuple:
-    robot = torch.arange(state.n_agents, device=state.position.device)
-    episode, step = state.episode[:, None], state.step[:, None]
-    return seed, env_index[:, None], episode, purpose, step, robot

@@ -11,6 +11,8 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
+from marl_clean.world.state import State
+
 _LOW_32_BITS = 0xFFFFFFFF
 
 
@@ -52,6 +54,14 @@ def random_bits(seed: int, *words: int | Tensor) -> Int[Tensor, "..."]:
 def random_below(bound: int | Tensor, seed: int, *words: int | Tensor) -> Int[Tensor, "..."]:
     """Draw int64 values in [0, bound), bound at most 2^31; the bias is below bound / 2^32."""
     return (random_bits(seed, *words) * bound) >> 32
+
+
+def words_of_robots(
+    state: State, env_index: Int[Tensor, " env"], purpose: Purpose
+) -> tuple[Tensor, Tensor, Purpose, Tensor, Tensor]:
+    """Return the words of a draw for each robot and step, `[env, agent]` when broadcast."""
+    robot = torch.arange(state.n_agents, device=env_index.device)
+    return env_index[:, None], state.episode[:, None], purpose, state.step[:, None], robot
 
 
 def happens(probability: float, seed: int, *words: int | Tensor) -> Bool[Tensor, "..."]:

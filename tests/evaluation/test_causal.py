@@ -98,6 +98,17 @@ def test_noise_is_as_large_as_messages_vary():
     assert (heard - message)[..., 1].std().item() == pytest.approx(10, rel=0.05)
 
 
+def test_no_noise_is_heard_of_who_chose_silence():
+    message = torch.randn(50, 3, 4)
+    message[:, 1] = 0
+    edges = torch.zeros(50, 3, 3, dtype=torch.bool)
+    moment = step(worlds=50)
+    moment.gated = True
+    heard, _ = Noise().carry(message, edges, 0, moment)
+    assert (heard[:, 1] == 0).all()
+    assert (heard[:, ::2] != message[:, ::2]).all()
+
+
 def policy_of(*settings: str):
     cfg = compose_config([*BASE, *settings])
     torch.manual_seed(0)
