@@ -25,6 +25,7 @@ from marl_clean.planner.base import Planner
 from marl_clean.schema import constant, instantiate, takes
 from marl_clean.settings import HouseOrder
 from marl_clean.stored import find_run, load_config
+from marl_clean.transformed import TransformedWorlds
 
 
 def training_houses(cfg: DictConfig) -> Houses:
@@ -79,7 +80,7 @@ def make_env(
     )
     told = [GlobalState()] if constant(cfg.agent._target_, "needs_state") else []
     transforms = (topology, observation, *told, *draws(cfg, seeded), *payment(cfg))
-    return TransformedEnv(env, Compose(*transforms))
+    return TransformedWorlds(env, Compose(*transforms))
 
 
 def make_task(cfg: DictConfig, num_envs: int | None = None, first_env: int = 0) -> TransformedEnv:

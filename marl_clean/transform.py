@@ -32,6 +32,11 @@ class WorldTransform(Transform):
     def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
         """Compute the entries for all worlds of `state`; `compiled` wraps pure functions."""
 
+    def read_fresh(self) -> dict[NestedKey, Tensor]:
+        """Compute the entries for the worlds that were reset last, and for no others."""
+        env = self.cleaning
+        return self.read(env.reset_state, env.compiled)
+
     @abstractmethod
     def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:
         """Return the spec of every entry that `read` gives."""
@@ -53,8 +58,8 @@ class WorldTransform(Transform):
         if len(env.reset_rows) == env.num_envs:
             entries = self.read(env.state, env.compiled)
         else:
-            fresh = self.read(env.reset_state, as_is)
-            entries = {k: _spread(v, env.reset_rows, env.num_envs) for k, v in fresh.items()}
+            rows, all_envs = env.reset_rows, env.num_envs
+            entries = {k: _spread(v, rows, all_envs) for k, v in self.read_fresh().items()}
         for key, value in entries.items():
             tensordict_reset.set(key, value)
         return tensordict_reset
@@ -63,11 +68,6 @@ class WorldTransform(Transform):
         for key, spec in self.specs(self.cleaning).items():
             observation_spec[key] = spec
         return observation_spec
-
-
-def as_is(function: Callable, *, wide: bool = False) -> Callable:
-    """Do not compile: rows that reset are another number each time."""
-    return function
 
 
 def _spread(value: Tensor, rows: Tensor, num_envs: int) -> Tensor:

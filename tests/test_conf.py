@@ -27,9 +27,16 @@ FLOORS = [
     | {"symmetry", "config_hash", "world", "manifest", "presets", "delivery", "live_edges"},
     {"house", "floorplan_readers"},
     {"env"},
-    {"transform", "channel_seed", "global_state", "observation", "topology", "reward"}
+    {
+        "transform",
+        "channel_seed",
+        "global_state",
+        "observation",
+        "topology",
+        "reward",
+    }
     | {"encoder", "comm", "channel"},
-    {"networks", "acting", "deep_q", "ppo", "agent", "planner"},
+    {"transformed", "networks", "acting", "deep_q", "ppo", "agent", "planner"},
     {
         "trainer",
         "training",

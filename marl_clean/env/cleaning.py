@@ -97,7 +97,7 @@ class CleaningEnv(Compiling):
         bump_noise: probability that a bump goes unnoticed: nothing is written, nothing paid.
         furniture_moves_per_episode: moves of one piece by one cell, drawn at reset.
         furniture_moves_before_start: with knowledge=stale, moves since the robots memorised.
-        compile: compile the pure parts of a step (some 20 s once, several times faster after);
+        compile: compile the pure parts of a step (some 30 s once, several times faster after);
             TorchRL takes this argument from every env and calls `compile()`.
         margin: cells stored around the house; at least half the view.
         house_order: whether episodes draw their house, or env i always plays house i.
@@ -204,16 +204,21 @@ class CleaningEnv(Compiling):
             rows = torch.arange(self.num_envs, device=self.device)
         else:
             rows = mask.view(self.num_envs).nonzero()[:, 0]
-        fresh = self._begin(rows, self.state.episode[rows] + self._started)
-        self._meet(fresh)
-        self.state.write_rows_(rows, fresh)
-        self.reset_rows, self.reset_state = rows, fresh
-        self._started = True
+        self.begin_rows(rows)
         return TensorDict(
             {keys.AGENTS: self._agents({"position": self.state.position}), **self._no_ending()},
             self.batch_size,
             device=self.device,
         )
+
+    def begin_rows(self, rows: Int[Tensor, " row"]) -> State:
+        """Begin the next episode in the worlds `rows`, and return these worlds alone."""
+        fresh = self._begin(rows, self.state.episode[rows] + self._started)
+        self._meet(fresh)
+        self.state.write_rows_(rows, fresh)
+        self.reset_rows, self.reset_state = rows, fresh
+        self._started = True
+        return fresh
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         state = self.state

@@ -3,7 +3,7 @@
 from abc import abstractmethod
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Binary, Bounded, TensorSpec
@@ -40,10 +40,17 @@ class Topology(WorldTransform):
         )
 
     def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
+        adjacency, rank = compiled(self.graph)(state, self.cleaning.rules)
         return {
-            keys.ADJACENCY: compiled(self.contact)(state, self.cleaning.rules),
-            keys.DISTANCE_RANK: compiled(distance_rank)(state.position),
+            keys.ADJACENCY: adjacency,
+            keys.DISTANCE_RANK: rank,
         }
+
+    def graph(
+        self, state: State, rules: Rules
+    ) -> tuple[Bool[Tensor, "env agent agent"], Int[Tensor, "env agent agent"]]:
+        """Return who is in contact, and who is how near."""
+        return self.contact(state, rules), distance_rank(state.position)
 
     def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:
         shape = torch.Size([env.num_envs, env.n_agents, env.n_agents])

@@ -61,7 +61,7 @@ class State:
             if name in MATRICES:
                 tensor[rows] = new
             else:
-                setattr(self, name, tensor.index_put((rows,), new))
+                setattr(self, name, tensor.index_copy(0, rows, new))
 
 
 MATRICES = ("blocked", "piece", "record", "visited")

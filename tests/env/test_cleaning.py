@@ -1,5 +1,9 @@
 """The env as TorchRL sees it: specs, seeds, partial resets, saving and loading."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -13,7 +17,6 @@ from marl_clean.errors import BadInput
 from marl_clean.house.base import draw_houses
 from marl_clean.house.rooms import Rooms
 from marl_clean.settings import HouseOrder, Memory, Sensor
-from marl_clean.transform import as_is
 from tests.world.play import houses_of
 
 HOUSES = draw_houses(Rooms([6, 9], [6, 9]), range(40), n_agents=3)
@@ -105,7 +108,7 @@ def test_a_partial_reset_touches_no_other_world_and_no_recorded_step() -> None:
     assert env.base_env.state.episode.tolist() == [0, 1, 0, 0, 1]
     assert all((kept == step).all() for kept, step in zip(recorded, steps, strict=True))
     # what the reset worlds show is what they hold
-    fresh = env.transform[1].read(env.base_env.state, as_is)
+    fresh = env.transform[1].read(env.base_env.state, env.base_env.compiled)
     assert torch.equal(fresh[keys.OBSERVATION], after[keys.OBSERVATION])
 
 
@@ -193,3 +196,11 @@ def test_touch_knows_the_four_neighbours_at_once() -> None:
     margin = env.rules.margin
     record = env.state.record[0, 0, margin - 1 : margin + 2, margin - 1 : margin + 2]
     assert record.tolist() == [[0.0, -1.0, 0.0], [-1.0, 1.0, 0.5], [0.0, -1.0, 0.0]]
+
+
+@pytest.mark.slow
+def test_a_compiled_env_plays_what_a_plain_one_plays():
+    root = Path(__file__).parents[2]
+    command = [sys.executable, "-W", "ignore", "-m", "tests.env.compiled"]
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=400)
+    assert done.returncode == 0, done.stderr

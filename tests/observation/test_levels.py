@@ -15,7 +15,6 @@ from marl_clean.house.base import draw_houses
 from marl_clean.house.open import Open
 from marl_clean.house.rooms import Rooms
 from marl_clean.schema import constant, parameters
-from marl_clean.transform import as_is
 
 LEVELS = rooms()["observation"]
 HOUSES = draw_houses(Rooms([5, 9], [5, 9]), range(20), n_agents=3)
@@ -90,7 +89,7 @@ def test_a_partial_reset_shows_what_a_whole_computation_does(level: str) -> None
     last = play(env, actions_for(6, 5))[-1].select(keys.AGENTS, *keys.ENDINGS)
     last["_reset"] = torch.tensor([False, True, False, False, True])[:, None]
     after = env.reset(last)
-    whole = env.transform[1].read(env.base_env.state, as_is)
+    whole = env.transform[1].read(env.base_env.state, env.base_env.compiled)
     torch.testing.assert_close(after[keys.OBSERVATION], whole[keys.OBSERVATION], atol=1e-6, rtol=0)
 
 
