@@ -9,11 +9,9 @@ network, an env) is handed over in code and is no key of the config.
 import ast
 import builtins
 import difflib
-import enum
 import importlib
 import json
 import re
-import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -23,14 +21,13 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 from pydantic import TypeAdapter, ValidationError
-from pydantic.fields import FieldInfo
 
 from marl_clean import settings
 from marl_clean.errors import BadInput
+from marl_clean.type_words import describe, options
 
 PACKAGE = Path(__file__).parent
 TARGET = re.compile(r"marl_clean((?:\.[a-z]\w*)+)\.([A-Za-z]\w*)")
-KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 
 
 @dataclass(frozen=True)
@@ -128,7 +125,7 @@ def mismatch(value: Any, annotation: Any) -> str | None:
         if said:
             return said[0].removeprefix("Value error, ")
         reason = f"must be {describe(annotation)}, not {json.dumps(value)[:80]}"
-        close = difflib.get_close_matches(str(value), list(_options(annotation)), n=1)
+        close = difflib.get_close_matches(str(value), list(options(annotation)), n=1)
         return f"{reason}; did you mean {close[0]}?" if close else reason
     return None
 
@@ -166,50 +163,6 @@ def choices(word: str, valid: Iterable[str]) -> str:
     close = difflib.get_close_matches(word, names, n=1)
     nearest = f"did you mean {close[0]}? " if close else ""
     return f"{nearest}valid: {', '.join(names)}"
-
-
-def describe(annotation: Any) -> str:
-    """A type in words: "a whole number, at least 1"."""
-    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
-    if origin is typing.Annotated:
-        limits = [text for part in arguments[1:] for text in _limits(part)]
-        return ", ".join([describe(arguments[0]), *limits])
-    if origin in (typing.Union, types.UnionType):
-        return " or ".join(describe(argument) for argument in arguments)
-    if origin in (list, tuple):
-        return f"a list, each {describe(arguments[0])}" if arguments else "a list"
-    if options := _options(annotation):
-        return f"one of {', '.join(options)}"
-    if annotation is type(None):
-        return "null"
-    return KINDS.get(annotation, "a section")
-
-
-def _options(annotation: Any) -> tuple[str, ...]:
-    """The words an Enum or a Literal allows, also inside `| None`."""
-    if isinstance(annotation, type) and issubclass(annotation, enum.Enum):
-        return tuple(str(member.value) for member in annotation)
-    if typing.get_origin(annotation) is typing.Literal:
-        return tuple(map(str, typing.get_args(annotation)))
-    inner = typing.get_args(annotation)
-    return tuple(option for part in inner for option in _options(part))
-
-
-def _limits(part: Any) -> Iterator[str]:
-    """The bounds of an `Annotated` type in words."""
-    words = {
-        "ge": "at least {}",
-        "gt": "more than {}",
-        "le": "at most {}",
-        "lt": "less than {}",
-        "min_length": "no fewer than {}",
-        "max_length": "no more than {}",
-    }
-    for constraint in part.metadata if isinstance(part, FieldInfo) else [part]:
-        for name, text in words.items():
-            limit = getattr(constraint, name, None)
-            if limit is not None:
-                yield text.format(limit)
 
 
 @cache

@@ -23,7 +23,17 @@ ROOMS = sorted({path.parent.name for path in LEVELS} - {"env"})
 HANDED_OVER = {"margin", "house_order", "first_env", "seed", "device"}
 
 FLOORS = [
-    {"errors", "keys", "settings", "schema", "safe_yaml", "plan_files", "files", "viewer"}
+    {
+        "errors",
+        "keys",
+        "settings",
+        "type_words",
+        "schema",
+        "safe_yaml",
+        "plan_files",
+        "files",
+        "viewer",
+    }
     | {"symmetry", "config_hash", "world", "manifest", "presets", "delivery", "live_edges"},
     {"house", "floorplan_readers"},
     {"env"},

@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Bool, Int, UInt8
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from marl_clean import keys
 from marl_clean.env.compiling import Compiling
+from marl_clean.env.frames import first_frame, next_frame
 from marl_clean.env.houses import house_tensors
 from marl_clean.env.scene import scene_of
-from marl_clean.env.specs import REWARD_TERMS, make_specs
+from marl_clean.env.specs import make_specs
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses
 from marl_clean.settings import (
@@ -205,11 +206,7 @@ class CleaningEnv(Compiling):
         else:
             rows = mask.view(self.num_envs).nonzero()[:, 0]
         self.begin_rows(rows)
-        return TensorDict(
-            {keys.AGENTS: self._agents({"position": self.state.position}), **self._no_ending()},
-            self.batch_size,
-            device=self.device,
-        )
+        return first_frame(self.state)
 
     def begin_rows(self, rows: Int[Tensor, " row"]) -> State:
         """Begin the next episode in the worlds `rows`, and return these worlds alone."""
@@ -234,35 +231,12 @@ class CleaningEnv(Compiling):
         if self.rules.sensor is Sensor.TOUCH4:
             touch_(state, self.rules)
         self._meet(state)
-        terminated, truncated = episode_ends(state, self.rules.stuck_after)
-        terms = torch.stack(
-            (outcome.step_term, outcome.cleaning_term, outcome.discovery_term), 0
-        ).unsqueeze(-1)
-        info = self._agents(dict(zip(REWARD_TERMS, terms.unbind(0), strict=True)))
-        agents = self._agents(
-            {"position": state.position, "own_reward": terms.sum(0), "info": info}
-        )
-        endings = (terminated | truncated, terminated, truncated)
-        return TensorDict(
-            {
-                keys.AGENTS: agents,
-                **{key: flag[:, None] for key, flag in zip(keys.ENDINGS, endings, strict=True)},
-            },
-            self.batch_size,
-            device=self.device,
-        )
+        return next_frame(state, outcome, *episode_ends(state, self.rules.stuck_after))
 
     def _meet(self, state: State) -> None:
         """Unite the maps of robots in contact, before anyone observes (`memory=merged`)."""
         if self.rules.memory is Memory.MERGED and self.contact is not None:
             state.record = merge_maps(state.record, self.contact(state, self.rules))
-
-    def _agents(self, entries: dict) -> TensorDict:
-        return TensorDict(entries, [self.num_envs, self.n_agents], device=self.device)
-
-    def _no_ending(self) -> dict[str, Tensor]:
-        zero = torch.zeros((self.num_envs, 1), dtype=torch.bool, device=self.device)
-        return {key: zero.clone() for key in keys.ENDINGS}
 
     def _set_seed(self, seed: int | None) -> None:
         """Fix everything that the env draws; the next reset starts episode 0 of this seed."""

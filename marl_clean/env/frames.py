@@ -1,0 +1,43 @@
+"""What the cleaning env tells of a moment, as TensorDicts."""
+
+import torch
+from jaxtyping import Bool
+from tensordict import TensorDict
+from torch import Tensor
+
+from marl_clean import keys
+from marl_clean.env.specs import REWARD_TERMS
+from marl_clean.world.dynamics import Outcome
+from marl_clean.world.state import State
+
+
+def first_frame(state: State) -> TensorDict:
+    """Return the frame of a reset, in which nothing has ended."""
+    zero = torch.zeros((len(state.step), 1), dtype=torch.bool, device=state.step.device)
+    endings = {key: zero.clone() for key in keys.ENDINGS}
+    return _of_worlds(state, {"position": state.position}, endings)
+
+
+def next_frame(
+    state: State,
+    outcome: Outcome,
+    terminated: Bool[Tensor, " env"],
+    truncated: Bool[Tensor, " env"],
+) -> TensorDict:
+    """Return the frame after a step: places, what each robot earned and why, what ended."""
+    parts = (outcome.step_term, outcome.cleaning_term, outcome.discovery_term)
+    terms = torch.stack(parts, 0).unsqueeze(-1)
+    info = _of_robots(state, dict(zip(REWARD_TERMS, terms.unbind(0), strict=True)))
+    robots = {"position": state.position, "own_reward": terms.sum(0), "info": info}
+    flags = (terminated | truncated, terminated, truncated)
+    endings = {key: flag[:, None] for key, flag in zip(keys.ENDINGS, flags, strict=True)}
+    return _of_worlds(state, robots, endings)
+
+
+def _of_worlds(state: State, robots: dict, endings: dict[str, Tensor]) -> TensorDict:
+    entries = {keys.AGENTS: _of_robots(state, robots), **endings}
+    return TensorDict(entries, state.step.shape, device=state.step.device)
+
+
+def _of_robots(state: State, entries: dict) -> TensorDict:
+    return TensorDict(entries, state.position.shape[:2], device=state.position.device)
