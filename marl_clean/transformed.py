@@ -1,6 +1,6 @@
 """TorchRL's env under transforms, with a shorter way through a step: the same frames."""
 
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
@@ -40,8 +40,9 @@ class TransformedWorlds(TransformedEnv):
         tensordict.set("next", after)
         carried = self._step_mdp(tensordict)
         done = after.get(keys.DONE)
-        if done.any():
-            self.begin_anew(carried, done)
+        rows = done.view(-1).nonzero()[:, 0]
+        if len(rows):
+            self.begin_anew(carried, done, rows)
         return tensordict, carried
 
     @property
@@ -50,12 +51,13 @@ class TransformedWorlds(TransformedEnv):
         whole = self.transform
         return list(whole.transforms) if isinstance(whole, Compose) else [whole]
 
-    def begin_anew(self, carried: TensorDictBase, done: Bool[Tensor, "env 1"]) -> None:
+    def begin_anew(
+        self, carried: TensorDictBase, done: Bool[Tensor, "env 1"], rows: Int[Tensor, " row"]
+    ) -> None:
         """Put the first frames of new episodes into the rows that are `done`.
 
         What no first frame has, such as what a policy wrote, is 0 there.
         """
-        rows = done.view(-1).nonzero()[:, 0]
         fresh = self.base_env.begin_rows(rows)
         entries: dict[NestedKey, Tensor] = {keys.POSITION: fresh.position}
         for one in self.transforms:
@@ -65,8 +67,7 @@ class TransformedWorlds(TransformedEnv):
                 asked = TensorDict({"_reset": done}, self.batch_size, device=self.device)
                 begun = one._reset(asked, asked.empty())
                 entries |= {key: begun.get(key)[rows] for key in begun.keys(True, True)}
-        for key in list(carried.keys(True, True)):
-            before = carried.get(key)
+        for key, before in list(carried.items(True, True)):
             if key in entries:
                 carried.set(key, before.index_copy(0, rows, entries[key]))
             else:

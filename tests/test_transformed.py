@@ -64,9 +64,9 @@ def test_steps_and_resets_are_torchrls(case: str, monkeypatch: pytest.MonkeyPatc
     begun: list[int] = []
     direct = TransformedWorlds.begin_anew
 
-    def noted(self, carried, done) -> None:
-        begun.append(int(done.sum()))
-        direct(self, carried, done)
+    def noted(self, carried, done, rows) -> None:
+        begun.append(len(rows))
+        direct(self, carried, done, rows)
 
     monkeypatch.setattr(TransformedWorlds, "begin_anew", noted)
     mine, theirs = env.reset(), reference.reset()
