@@ -72,13 +72,15 @@ class Dgn(Comm):
     ) -> State:
         (*before, last), _ = state
         query, key_and_value = self.query[turn], self.key_and_value[turn]
+        own = self.by_head(key_and_value(last))
+        unchanged = heard is last  # on the way: then keys and values are made once, for all
         every_head = live.unsqueeze(-3).expand(*live.shape[:-2], self.heads, *live.shape[-2:])
         summed, attention = attend(
             self.by_head(query(last)),
-            self.by_head(key_and_value(heard)),
+            own if unchanged else self.by_head(key_and_value(heard)),
             every_head,
             self.scale,
-            own=self.by_head(key_and_value(last)),
+            own=own,
         )
         new = self.join[turn](summed.transpose(-2, -3).flatten(-2))
         return [*before, last, new], attention
