@@ -186,7 +186,7 @@ class Root(TypedDict):
 
     seed: Seed
     train_houses: Annotated[int, Field(ge=1, le=1_000_000)]
-    parameter_budget: PositiveInt | None
+    parameter_budget: Annotated[int, Field(ge=1, le=100_000_000)] | None
     device: Device
     name: FolderName | None
     checkpoint: str | None
