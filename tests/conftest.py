@@ -1,6 +1,9 @@
 """Every test runs with the shapes and types in the annotations checked at run time."""
 
-from collections.abc import Iterator
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 from jaxtyping import install_import_hook
 
@@ -17,3 +20,16 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture
+def run_script() -> Callable[[str], None]:
+    """Run a module of its own process, without the checks at run time; it must end well."""
+
+    def run(module: str) -> None:
+        command = [sys.executable, "-W", "ignore", "-m", module]
+        root = Path(__file__).parents[1]
+        done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=400)
+        assert done.returncode == 0, done.stderr
+
+    return run

@@ -1,9 +1,5 @@
 """The network from observations to action values."""
 
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 import torch
 
@@ -41,8 +37,5 @@ def test_bfloat16_gives_nearly_the_same_values_in_float32():
 
 
 @pytest.mark.slow
-def test_compiles_in_one_graph_with_every_comm():
-    root = Path(__file__).parents[2]
-    command = [sys.executable, "-W", "ignore", "-m", "tests.agent.compiled"]
-    done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=400)
-    assert done.returncode == 0, done.stderr
+def test_compiles_in_one_graph_with_every_comm(run_script):
+    run_script("tests.agent.compiled")

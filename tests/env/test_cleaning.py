@@ -1,9 +1,5 @@
 """The env as TorchRL sees it: specs, seeds, partial resets, saving and loading."""
 
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -199,8 +195,5 @@ def test_touch_knows_the_four_neighbours_at_once() -> None:
 
 
 @pytest.mark.slow
-def test_a_compiled_env_plays_what_a_plain_one_plays():
-    root = Path(__file__).parents[2]
-    command = [sys.executable, "-W", "ignore", "-m", "tests.env.compiled"]
-    done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=400)
-    assert done.returncode == 0, done.stderr
+def test_a_compiled_env_plays_what_a_plain_one_plays(run_script):
+    run_script("tests.env.compiled")
