@@ -8,7 +8,7 @@ from torchrl.data import Binary, TensorSpec
 
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
-from marl_clean.transform import Compile, WorldTransform
+from marl_clean.transform import WorldTransform
 from marl_clean.world.state import State
 
 PLANES = ("blocked", "cleaned", "robots")
@@ -20,7 +20,7 @@ class GlobalState(WorldTransform):
     R and C are those of the largest house; a smaller one lies at the top left, blocked around.
     """
 
-    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
+    def read(self, state: State) -> dict[NestedKey, Tensor]:
         return {keys.STATE: planes(state, self.cleaning.rules.margin)}
 
     def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:

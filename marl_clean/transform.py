@@ -12,8 +12,6 @@ from torchrl.envs import Transform
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.world.state import State
 
-Compile = Callable[..., Callable]
-
 
 class WorldTransform(Transform):
     """Adds keys that are computed from the state of a `CleaningEnv`.
@@ -29,13 +27,16 @@ class WorldTransform(Transform):
         return self.container.base_env
 
     @abstractmethod
-    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
-        """Compute the entries for all worlds of `state`; `compiled` wraps pure functions."""
+    def read(self, state: State) -> dict[NestedKey, Tensor]:
+        """Compute the entries for all worlds of `state`, pure functions by `compiled`."""
 
     def read_fresh(self) -> dict[NestedKey, Tensor]:
         """Compute the entries for the worlds that were reset last, and for no others."""
-        env = self.cleaning
-        return self.read(env.reset_state, env.compiled)
+        return self.read(self.cleaning.reset_state)
+
+    def compiled(self, function: Callable, *, wide: bool = False) -> Callable:
+        """Return the function compiled, where the env is; see `Compiling.compiled`."""
+        return self.cleaning.compiled(function, wide=wide)
 
     @abstractmethod
     def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:
@@ -47,7 +48,7 @@ class WorldTransform(Transform):
         return env.env_index if state is env.state else env.env_index[env.reset_rows]
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        for key, value in self.read(self.cleaning.state, self.cleaning.compiled).items():
+        for key, value in self.read(self.cleaning.state).items():
             next_tensordict.set(key, value)
         return next_tensordict
 
@@ -56,7 +57,7 @@ class WorldTransform(Transform):
     ) -> TensorDictBase:
         env = self.cleaning
         if len(env.reset_rows) == env.num_envs:
-            entries = self.read(env.state, env.compiled)
+            entries = self.read(env.state)
         else:
             rows, all_envs = env.reset_rows, env.num_envs
             entries = {k: _spread(v, rows, all_envs) for k, v in self.read_fresh().items()}

@@ -6,7 +6,6 @@ from torch import Tensor
 from marl_clean import keys
 from marl_clean.observation.base import Observation
 from marl_clean.settings import Form, Memory, OddInt, Probability
-from marl_clean.transform import Compile
 from marl_clean.world.noise import believed_position
 from marl_clean.world.sensing import crop, mark_contacts
 from marl_clean.world.state import State
@@ -36,29 +35,27 @@ class Crop(Observation):
     def shape(self) -> tuple[int, ...]:
         return 1, self.view_size, self.view_size
 
-    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
-        centre = self.centre(state, compiled)
-        view = compiled(crop, wide=True)(
+    def read(self, state: State) -> dict[NestedKey, Tensor]:
+        centre = self.centre(state)
+        view = self.compiled(crop, wide=True)(
             state.record, centre, state.step, self.view_size, self.cleaning.rules
         )
-        view = self.with_contacts(view, centre, state, compiled)
+        view = self.with_contacts(view, centre, state)
         return {keys.OBSERVATION: view.unsqueeze(2)}
 
-    def centre(self, state: State, compiled: Compile) -> Tensor:
+    def centre(self, state: State) -> Tensor:
         """Return where each robot thinks it is, the middle of what it sees."""
         if self.position_noise == 0:
             return state.position
-        return compiled(believed_position)(
+        return self.compiled(believed_position)(
             state, self.env_index_of(state), self.cleaning.seed_in_use, self.position_noise
         )
 
-    def with_contacts(
-        self, view: Tensor, centre: Tensor, state: State, compiled: Compile
-    ) -> Tensor:
+    def with_contacts(self, view: Tensor, centre: Tensor, state: State) -> Tensor:
         """Show the robots in contact in views of private maps; shared and merged ones show them."""
         env = self.cleaning
         if env.rules.memory is not Memory.PRIVATE or env.contact is None:
             return view
         corner = centre - view.shape[-1] // 2
         contact = env.contact(state, env.rules)
-        return compiled(mark_contacts)(view, corner, state.position, contact)
+        return self.compiled(mark_contacts)(view, corner, state.position, contact)

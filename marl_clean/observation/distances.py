@@ -7,7 +7,6 @@ from torch import Tensor
 from marl_clean import keys
 from marl_clean.observation.base import Observation
 from marl_clean.settings import Form, RangeCells
-from marl_clean.transform import Compile
 from marl_clean.world.sensing import free_run
 from marl_clean.world.state import State
 
@@ -39,8 +38,8 @@ class Distances(Observation):
     def shape(self) -> tuple[int, ...]:
         return (len(COMPASS),)
 
-    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
-        cells = compiled(free_run)(
+    def read(self, state: State) -> dict[NestedKey, Tensor]:
+        cells = self.compiled(free_run)(
             state.blocked, state.position, self.compass, self.range_cells, self.cleaning.rules
         )
         return {keys.OBSERVATION: cells.to(torch.float32) / self.range_cells}

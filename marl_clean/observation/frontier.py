@@ -6,7 +6,6 @@ from torch import Tensor
 
 from marl_clean import keys
 from marl_clean.observation.crop import Crop
-from marl_clean.transform import Compile
 from marl_clean.world.frontier import how_much_nearer, steps_to_frontier
 from marl_clean.world.state import State
 
@@ -30,10 +29,10 @@ class Frontier(Crop):
     def shape(self) -> tuple[int, ...]:
         return 2, self.view_size, self.view_size
 
-    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
-        crop = super().read(state, compiled)[keys.OBSERVATION]
+    def read(self, state: State) -> dict[NestedKey, Tensor]:
+        crop = super().read(state)[keys.OBSERVATION]
         distance = steps_to_frontier(state, self.cleaning.rules)
-        plane = compiled(how_much_nearer, wide=True)(
-            distance, self.centre(state, compiled), self.view_size, self.cleaning.rules
+        plane = self.compiled(how_much_nearer, wide=True)(
+            distance, self.centre(state), self.view_size, self.cleaning.rules
         )
         return {keys.OBSERVATION: torch.cat([crop, plane.unsqueeze(2)], 2)}

@@ -10,7 +10,6 @@ from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.house.base import check_largest
 from marl_clean.observation.base import Observation
 from marl_clean.settings import Form, HouseSide, Memory
-from marl_clean.transform import Compile
 from marl_clean.world.scales import marked, whole_map
 from marl_clean.world.sensing import mark_contacts
 from marl_clean.world.state import State
@@ -48,15 +47,15 @@ class GlobalMap(Observation):
         check_largest(self.largest_side, *env.houses.free.shape[1:])
         return super().specs(env)
 
-    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
+    def read(self, state: State) -> dict[NestedKey, Tensor]:
         env = self.cleaning
-        known = compiled(whole_map, wide=True)(
+        known = self.compiled(whole_map, wide=True)(
             state.record, state.step, self.largest_side, env.rules
         )
         view = known.expand(-1, env.n_agents, -1, -1)
         if env.rules.memory is Memory.PRIVATE and env.contact is not None:
             corner = torch.full_like(state.position, -1)  # the ring's
             contact = env.contact(state, env.rules)
-            view = compiled(mark_contacts)(view, corner, state.position, contact)
-        own = compiled(marked)(state.position, self.largest_side)
+            view = self.compiled(mark_contacts)(view, corner, state.position, contact)
+        own = self.compiled(marked)(state.position, self.largest_side)
         return {keys.OBSERVATION: torch.stack([view, own], 2)}

@@ -7,7 +7,6 @@ from torch import Tensor
 from marl_clean import keys
 from marl_clean.observation.crop import Crop
 from marl_clean.settings import OddInt, Probability, Scales
-from marl_clean.transform import Compile
 from marl_clean.world.scales import PLANES_A_SCALE, coarser, wide_crop, widest_side
 from marl_clean.world.state import State
 
@@ -44,14 +43,14 @@ class Pyramid(Crop):
     def shape(self) -> tuple[int, ...]:
         return 1 + PLANES_A_SCALE * (self.scales - 1), self.view_size, self.view_size
 
-    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
-        centre = self.centre(state, compiled)
+    def read(self, state: State) -> dict[NestedKey, Tensor]:
+        centre = self.centre(state)
         side = widest_side(self.view_size, self.scales)
-        code = compiled(wide_crop, wide=True)(
+        code = self.compiled(wide_crop, wide=True)(
             state.record, centre, state.step, side, self.cleaning.rules
         )
-        code = self.with_contacts(code, centre, state, compiled)
+        code = self.with_contacts(code, centre, state)
         first = (side - self.view_size) // 2
         middle = slice(first, first + self.view_size)
-        planes = compiled(coarser, wide=True)(code, self.view_size, self.scales)
+        planes = self.compiled(coarser, wide=True)(code, self.view_size, self.scales)
         return {keys.OBSERVATION: torch.cat([code[:, :, None, middle, middle], planes], 2)}

@@ -11,7 +11,7 @@ from torchrl.data import Binary, Bounded, TensorSpec
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.errors import BadInput
-from marl_clean.transform import Compile, WorldTransform
+from marl_clean.transform import WorldTransform
 from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import distance_rank
 from marl_clean.world.state import State
@@ -39,8 +39,8 @@ class Topology(WorldTransform):
             f"topology={level}: needs positions, which env does not tell; valid: full, none"
         )
 
-    def read(self, state: State, compiled: Compile) -> dict[NestedKey, Tensor]:
-        adjacency, rank = compiled(self.graph)(state, self.cleaning.rules)
+    def read(self, state: State) -> dict[NestedKey, Tensor]:
+        adjacency, rank = self.compiled(self.graph)(state, self.cleaning.rules)
         return {
             keys.ADJACENCY: adjacency,
             keys.DISTANCE_RANK: rank,

@@ -1,33 +1,42 @@
-"""Play a compiled env beside a plain one: every frame of both is the same.
+"""Play compiled envs beside plain ones: all that they carry on is the same.
 
-A script of its own, because the run-time checks of the tests cannot be compiled.
+A script of its own, because the run-time checks of the tests cannot be compiled. With arguments,
+of these settings instead, such as `observation=pyramid env.memory=private`.
 """
+
+import sys
 
 import torch
 
 from marl_clean import build, keys
 from marl_clean.compose import compose_config
 
-SETTINGS = [
+WORLDS = 12
+SMALL = [
     "train_houses=8",
     "house.rows=[4,6]",
     "house.cols=[4,7]",
-    "env.num_envs=12",
+    f"env.num_envs={WORLDS}",
     "env.n_agents=3",
     "env.stuck_after=5",
-    "observation.view_size=5",
 ]
+NOISE = ["env.bump_noise=0.3", "observation.position_noise=0.3"]
 
 
 def main() -> None:
+    check(sys.argv[1:] or ["observation=frontier", "env.memory=private", *NOISE])
+
+
+def check(settings: list[str]) -> None:
     plain, compiled = (
-        build.make_env(compose_config([*SETTINGS, f"env.compile={how}"])) for how in (False, True)
+        build.make_env(compose_config([*SMALL, *settings, f"env.compile={how}"]))
+        for how in (False, True)
     )
     carried = [env.reset() for env in (plain, compiled)]
     generator = torch.Generator().manual_seed(0)
     begun = set()
     for _ in range(40):
-        action = torch.randint(4, (12, 3), generator=generator)
+        action = torch.randint(4, (WORLDS, 3), generator=generator)
         for index, env in enumerate((plain, compiled)):
             carried[index][keys.ACTION] = action
             _, carried[index] = env.step_and_maybe_reset(carried[index])

@@ -104,7 +104,7 @@ def test_a_partial_reset_touches_no_other_world_and_no_recorded_step() -> None:
     assert env.base_env.state.episode.tolist() == [0, 1, 0, 0, 1]
     assert all((kept == step).all() for kept, step in zip(recorded, steps, strict=True))
     # what the reset worlds show is what they hold
-    fresh = env.transform[1].read(env.base_env.state, env.base_env.compiled)
+    fresh = env.transform[1].read(env.base_env.state)
     assert torch.equal(fresh[keys.OBSERVATION], after[keys.OBSERVATION])
 
 
