@@ -36,7 +36,7 @@ from marl_clean.world.dynamics import MOVES, advance, commit_, episode_ends, tou
 from marl_clean.world.episode import FurnitureMoves, begin
 from marl_clean.world.furniture import move_furniture_
 from marl_clean.world.noise import unnoticed_bumps
-from marl_clean.world.random import Purpose, random_bits, words_of_robots
+from marl_clean.world.random import Purpose, random_bits, seed_tensor, words_of_robots
 from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import merge_maps
 from marl_clean.world.state import State
@@ -187,12 +187,13 @@ class CleaningEnv(Compiling):
             raise BadInput(f"open_houses({count}): valid: 1 to {len(self.houses)}")
         self.num_open = count
 
-    def _begin(self, rows: Tensor, episode: Tensor) -> State:
+    def _begin(self, rows: Int[Tensor, " row"], episode: Int[Tensor, " env"]) -> State:
         return self.compiled(begin)(
             self._houses,
-            self.env_index[rows],
+            rows,
+            self.env_index,
             episode,
-            self.seed_in_use,
+            self.seed_word,
             self.house_order,
             self.num_open,
             self.furniture,
@@ -210,7 +211,7 @@ class CleaningEnv(Compiling):
 
     def begin_rows(self, rows: Int[Tensor, " row"]) -> State:
         """Begin the next episode in the worlds `rows`, and return these worlds alone."""
-        fresh = self._begin(rows, self.state.episode[rows] + self._started)
+        fresh = self._begin(rows, self.state.episode + self._started)
         self._meet(fresh)
         self.state.write_rows_(rows, fresh)
         self.reset_rows, self.reset_state = rows, fresh
@@ -223,7 +224,7 @@ class CleaningEnv(Compiling):
         unnoticed = None
         if self.rules.bump_noise:
             draw = self.compiled(unnoticed_bumps)
-            unnoticed = draw(state, self.env_index, self.seed_in_use, self.rules.bump_noise)
+            unnoticed = draw(state, self.env_index, self.seed_word, self.rules.bump_noise)
         outcome = step(state, tensordict.get(keys.ACTION), self.moves, self.rules, unnoticed)
         commit_(state, outcome)
         if self.furniture.during_episode:
@@ -242,7 +243,7 @@ class CleaningEnv(Compiling):
         """Fix everything that the env draws; the next reset starts episode 0 of this seed."""
         if seed is None:
             raise BadInput("seed=None: must be an integer")
-        self.seed_in_use = seed
+        self.seed_in_use, self.seed_word = seed, seed_tensor(seed, self.device)
         self._started = False
         if "state" in self.__dict__:
             self.state.episode = torch.zeros_like(self.state.episode)
@@ -267,8 +268,8 @@ class CleaningEnv(Compiling):
         shapes = {name: value.shape for name, value in self.state.tensors().items()}
         if {name: value.shape for name, value in tensors.items()} != shapes:
             raise BadInput("env state: sizes or names differ from this env's; same config needed")
+        self._set_seed(int(state_dict["seed"]))
         self.state = State(**{name: value.clone() for name, value in tensors.items()})
-        self.seed_in_use = int(state_dict["seed"])
         self._started = bool(state_dict["started"])
         self.open_houses(int(state_dict["num_open"]))
 

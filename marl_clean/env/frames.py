@@ -25,10 +25,9 @@ def next_frame(
     truncated: Bool[Tensor, " env"],
 ) -> TensorDict:
     """Return the frame after a step: places, what each robot earned and why, what ended."""
-    parts = (outcome.step_term, outcome.cleaning_term, outcome.discovery_term)
-    terms = torch.stack(parts, 0).unsqueeze(-1)
-    info = _of_robots(state, dict(zip(REWARD_TERMS, terms.unbind(0), strict=True)))
-    robots = {"position": state.position, "own_reward": terms.sum(0), "info": info}
+    terms = (outcome.step_term, outcome.cleaning_term, outcome.discovery_term)
+    info = _of_robots(state, dict(zip(REWARD_TERMS, terms, strict=True)))
+    robots = {"position": state.position, "own_reward": outcome.own_reward, "info": info}
     flags = (terminated | truncated, terminated, truncated)
     endings = {key: flag[:, None] for key, flag in zip(keys.ENDINGS, flags, strict=True)}
     return _of_worlds(state, robots, endings)

@@ -48,7 +48,7 @@ class Crop(Observation):
         if self.position_noise == 0:
             return state.position
         return self.compiled(believed_position)(
-            state, self.env_index_of(state), self.cleaning.seed_in_use, self.position_noise
+            state, self.env_index_of(state), self.cleaning.seed_word, self.position_noise
         )
 
     def with_contacts(self, view: Tensor, centre: Tensor, state: State) -> Tensor:

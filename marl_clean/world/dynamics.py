@@ -27,9 +27,10 @@ class Outcome(NamedTuple):
     bumped: Bool[Tensor, "env agent"]
     collided: Bool[Tensor, "env agent"]
     newly_cleaned: Bool[Tensor, "env agent"]
-    step_term: Float[Tensor, "env agent"]
-    cleaning_term: Float[Tensor, "env agent"]
-    discovery_term: Float[Tensor, "env agent"]
+    step_term: Float[Tensor, "env agent 1"]
+    cleaning_term: Float[Tensor, "env agent 1"]
+    discovery_term: Float[Tensor, "env agent 1"]
+    own_reward: Float[Tensor, "env agent 1"]  # the sum of the terms
     step: Int[Tensor, " env"]
     last_progress: Int[Tensor, " env"]
     num_visited: Int[Tensor, " env"]
@@ -90,9 +91,10 @@ def advance(
         bumped=bumped,
         collided=collided,
         newly_cleaned=newly_cleaned,
-        step_term=step_term,
-        cleaning_term=cleaning_term,
-        discovery_term=discovery_term,
+        step_term=step_term[..., None],
+        cleaning_term=cleaning_term[..., None],
+        discovery_term=discovery_term[..., None],
+        own_reward=(step_term + cleaning_term + discovery_term)[..., None],
         step=step,
         last_progress=torch.where(progress, step, state.last_progress),
         num_visited=state.num_visited + newly_cleaned.sum(-1),

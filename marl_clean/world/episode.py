@@ -9,7 +9,7 @@ from torch import Tensor
 from marl_clean.settings import LARGEST_SIDE, HouseOrder, Knowledge, Memory, Sensor
 from marl_clean.world.dynamics import touch_
 from marl_clean.world.furniture import inside_house, shift_piece
-from marl_clean.world.random import Purpose, random_below, random_bits
+from marl_clean.world.random import Purpose, Seed, random_below, random_bits
 from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import MEMORISED_BLOCKED, MEMORISED_FREE, UNKNOWN_RECORD
 from marl_clean.world.state import State, cell_index
@@ -38,19 +38,21 @@ class FurnitureMoves(NamedTuple):
 
 def begin(
     houses: HouseTensors,
+    rows: Int[Tensor, " row"],
     env_index: Int[Tensor, " env"],
     episode: Int[Tensor, " env"],
-    seed: int,
+    seed: Seed,
     order: HouseOrder,
     num_open: int,
     furniture: FurnitureMoves,
     rules: Rules,
 ) -> State:
-    """Return the worlds `env_index` at step 0 of their episodes, starts cleaned.
+    """Return the worlds `rows` alone, at step 0 of their episodes, starts cleaned.
 
     A pure function of (seed, env index, episode): no other world has a part in it. Drawn houses
     are among the first `num_open`.
     """
+    env_index, episode = env_index[rows], episode[rows]
     num_houses, height, width = houses.blocked.shape
     n_agents = houses.starts.shape[1]
     if order is HouseOrder.FIXED:
@@ -116,7 +118,7 @@ def draw_starts(
     blocked: Bool[Tensor, "env height width"],
     env_index: Int[Tensor, " env"],
     episode: Int[Tensor, " env"],
-    seed: int,
+    seed: Seed,
     rules: Rules,
 ) -> Int[Tensor, "env agent 2"]:
     """Place the robots on distinct free cells: where the plan says, else drawn uniformly.
@@ -147,7 +149,7 @@ def draw_furniture_moves(
     house: Int[Tensor, " env"],
     env_index: Int[Tensor, " env"],
     episode: Int[Tensor, " env"],
-    seed: int,
+    seed: Seed,
     count: int,
     before_start: bool,
 ) -> Int[Tensor, "env move 3"]:

@@ -9,19 +9,19 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from marl_clean.world.dynamics import moves_on
-from marl_clean.world.random import Purpose, happens, random_below, words_of_robots
+from marl_clean.world.random import Purpose, Seed, happens, random_below, words_of_robots
 from marl_clean.world.state import State
 
 
 def unnoticed_bumps(
-    state: State, env_index: Int[Tensor, " env"], seed: int, probability: float
+    state: State, env_index: Int[Tensor, " env"], seed: Seed, probability: float
 ) -> Bool[Tensor, "env agent"]:
     """Tell which robots will not notice it if they bump in the step to come."""
     return happens(probability, seed, *words_of_robots(state, env_index, Purpose.BUMP))
 
 
 def believed_position(
-    state: State, env_index: Int[Tensor, " env"], seed: int, probability: float
+    state: State, env_index: Int[Tensor, " env"], seed: Seed, probability: float
 ) -> Int[Tensor, "env agent 2"]:
     """Return where each robot thinks it is: with `probability` one cell off.
 

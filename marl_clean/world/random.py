@@ -15,6 +15,9 @@ from marl_clean.world.state import State
 
 _LOW_32_BITS = 0xFFFFFFFF
 
+Seed = int | Int[Tensor, ""]
+"""A number of up to 64 bits. As a tensor it is no constant of a function that is compiled."""
+
 
 class Purpose(IntEnum):
     """What a draw is for; streams of different purposes are independent."""
@@ -26,6 +29,12 @@ class Purpose(IntEnum):
     BUMP = 5
     PLACE = 6
     CHANNEL = 7
+
+
+def seed_tensor(seed: int, device: torch.device) -> Int[Tensor, ""]:
+    """Return the low 64 bits of a seed, as random_bits takes them."""
+    low = seed & 0xFFFFFFFFFFFFFFFF
+    return torch.tensor(low - (low >> 63 << 64), device=device)
 
 
 def _mix(word: Any) -> Any:
@@ -40,7 +49,7 @@ def _mix(word: Any) -> Any:
     return word ^ (word >> 16)
 
 
-def random_bits(seed: int, *words: int | Tensor) -> Int[Tensor, "..."]:
+def random_bits(seed: Seed, *words: int | Tensor) -> Int[Tensor, "..."]:
     """Hash a seed of up to 64 bits and words of up to 32 bits to int64 values in [0, 2^32).
 
     The words broadcast against each other; at least one of them is a tensor.
@@ -51,7 +60,7 @@ def random_bits(seed: int, *words: int | Tensor) -> Int[Tensor, "..."]:
     return torch.as_tensor(state)
 
 
-def random_below(bound: int | Tensor, seed: int, *words: int | Tensor) -> Int[Tensor, "..."]:
+def random_below(bound: int | Tensor, seed: Seed, *words: int | Tensor) -> Int[Tensor, "..."]:
     """Draw int64 values in [0, bound), bound at most 2^31; the bias is below bound / 2^32."""
     return (random_bits(seed, *words) * bound) >> 32
 
@@ -64,6 +73,6 @@ def words_of_robots(
     return env_index[:, None], state.episode[:, None], purpose, state.step[:, None], robot
 
 
-def happens(probability: float, seed: int, *words: int | Tensor) -> Bool[Tensor, "..."]:
+def happens(probability: float, seed: Seed, *words: int | Tensor) -> Bool[Tensor, "..."]:
     """Draw true with a probability, up to 2^-33."""
     return random_bits(seed, *words) < round(probability * 2**32)

@@ -63,13 +63,13 @@ class Bare:
         outcome = advance(env.state, action, env.moves, env.rules)
         commit_(env.state, outcome)
         terminated, truncated = episode_ends(env.state, env.rules.stuck_after)
-        own = outcome.step_term + outcome.cleaning_term + outcome.discovery_term
-        reward = own + (now[1].float() @ own.unsqueeze(-1)).squeeze(-1)
+        own = outcome.own_reward
+        reward = (own + now[1].float() @ own).squeeze(-1)
         then, done = self.observe(env.state), terminated | truncated
         self.remember(now, action, reward, then, terminated, done)
         if done.any():
             rows = done.nonzero()[:, 0]
-            env.state.write_rows_(rows, env._begin(rows, env.state.episode[rows] + 1))
+            env.state.write_rows_(rows, env._begin(rows, env.state.episode + 1))
             fresh = self.observe(env.state.rows_of(rows))
             then = tuple(x.index_copy(0, rows, y) for x, y in zip(then, fresh, strict=True))
         return then

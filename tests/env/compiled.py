@@ -24,7 +24,9 @@ NOISE = ["env.bump_noise=0.3", "observation.position_noise=0.3"]
 
 
 def main() -> None:
-    check(sys.argv[1:] or ["observation=frontier", "env.memory=private", *NOISE])
+    settings = sys.argv[1:] or ["observation=frontier", "env.memory=private", *NOISE]
+    for seed in (0, 1):  # another seed, such as that of an evaluation, is no constant
+        check([*settings, f"seed={seed}"])
 
 
 def check(settings: list[str]) -> None:
