@@ -30,10 +30,6 @@ class WorldTransform(Transform):
     def read(self, state: State) -> dict[NestedKey, Tensor]:
         """Compute the entries for all worlds of `state`, pure functions by `compiled`."""
 
-    def read_fresh(self) -> dict[NestedKey, Tensor]:
-        """Compute the entries for the worlds that were reset last, and for no others."""
-        return self.read(self.cleaning.reset_state)
-
     def compiled(self, function: Callable, *, wide: bool = False) -> Callable:
         """Return the function compiled, where the env is; see `Compiling.compiled`."""
         return self.cleaning.compiled(function, wide=wide)
@@ -60,7 +56,7 @@ class WorldTransform(Transform):
             entries = self.read(env.state)
         else:
             rows, all_envs = env.reset_rows, env.num_envs
-            entries = {k: _spread(v, rows, all_envs) for k, v in self.read_fresh().items()}
+            entries = {k: _spread(v, rows, all_envs) for k, v in self.read(env.reset_state).items()}
         for key, value in entries.items():
             tensordict_reset.set(key, value)
         return tensordict_reset

@@ -10,7 +10,6 @@ from marl_clean import keys
 from marl_clean.channel_seed import ChannelSeed
 from marl_clean.reward.base import RewardSplit
 from marl_clean.transform import WorldTransform
-from marl_clean.world.state import State
 
 KNOWN = (WorldTransform, RewardSplit, ChannelSeed, RewardSum, InitTracker, TensorDictPrimer)
 """Transforms that add entries and leave actions as they are."""
@@ -61,11 +60,11 @@ class TransformedWorlds(TransformedEnv):
         What no first frame has, such as what a policy wrote, is 0 there.
         """
         fresh = self.base_env.begin_rows(rows)
-        readers = [one for one in self.transforms if isinstance(one, WorldTransform)]
-        entries = {keys.POSITION: fresh.position}
-        entries |= self.base_env.compiled(read_all)(readers, fresh)
+        entries: dict[NestedKey, Tensor] = {keys.POSITION: fresh.position}
         for one in self.transforms:
-            if not isinstance(one, WorldTransform | RewardSplit | RewardSum):  # sums begin at 0
+            if isinstance(one, WorldTransform):
+                entries |= one.read(fresh)
+            elif not isinstance(one, RewardSplit | RewardSum):  # whose sums begin at 0
                 asked = TensorDict({"_reset": done}, self.batch_size, device=self.device)
                 begun = one._reset(asked, asked.empty())
                 entries |= {key: begun.get(key)[rows] for key in begun.keys(True, True)}
@@ -74,14 +73,3 @@ class TransformedWorlds(TransformedEnv):
                 carried.set(key, before.index_copy(0, rows, entries[key]))
             else:
                 carried.set(key, before.index_fill(0, rows, 0))
-
-
-def read_all(readers: list[WorldTransform], state: State) -> dict[NestedKey, Tensor]:
-    """Compute the entries of several transforms: compiled, a call for all of them.
-
-    Of few worlds a call costs more than what it computes.
-    """
-    entries: dict[NestedKey, Tensor] = {}
-    for one in readers:
-        entries |= one.read(state)
-    return entries

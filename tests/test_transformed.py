@@ -108,3 +108,10 @@ def test_with_other_transforms_torchrls_method_plays(monkeypatch: pytest.MonkeyP
     played = env.rollout(40, break_when_any_done=False)
     assert played["next", keys.DONE].any()
     assert played["step_count"].max() < 14
+
+
+def test_another_batch_is_refused() -> None:
+    env, _ = make(SMALL)
+    frame = env.rand_action(env.reset())
+    with pytest.raises(RuntimeError, match="shape"):
+        env.step_and_maybe_reset(frame[:3])

@@ -187,11 +187,10 @@ class CleaningEnv(Compiling):
             raise BadInput(f"open_houses({count}): valid: 1 to {len(self.houses)}")
         self.num_open = count
 
-    def _begin(self, rows: Int[Tensor, " row"], episode: Int[Tensor, " env"]) -> State:
+    def _begin(self, rows: Tensor, episode: Tensor) -> State:
         return self.compiled(begin)(
             self._houses,
-            rows,
-            self.env_index,
+            self.env_index[rows],
             episode,
             self.seed_word,
             self.house_order,
@@ -211,7 +210,7 @@ class CleaningEnv(Compiling):
 
     def begin_rows(self, rows: Int[Tensor, " row"]) -> State:
         """Begin the next episode in the worlds `rows`, and return these worlds alone."""
-        fresh = self._begin(rows, self.state.episode + self._started)
+        fresh = self._begin(rows, self.state.episode[rows] + self._started)
         self._meet(fresh)
         self.state.write_rows_(rows, fresh)
         self.reset_rows, self.reset_state = rows, fresh
@@ -243,7 +242,8 @@ class CleaningEnv(Compiling):
         """Fix everything that the env draws; the next reset starts episode 0 of this seed."""
         if seed is None:
             raise BadInput("seed=None: must be an integer")
-        self.seed_in_use, self.seed_word = seed, seed_tensor(seed, self.device)
+        self.seed_in_use = seed
+        self.seed_word = seed_tensor(seed, self.device)  # for what is compiled
         self._started = False
         if "state" in self.__dict__:
             self.state.episode = torch.zeros_like(self.state.episode)

@@ -29,9 +29,8 @@ class Compiling(Played):
 
         `wide` says that its innermost loops are long, as those over a view are. Loops over the
         robots of a world are short: vectorised on a CPU, `advance` took six times as long.
-        Within a function that is itself being compiled, a function is as it is.
         """
-        if self._compiled is None or torch.compiler.is_compiling():
+        if self._compiled is None:
             return function
         if function not in self._compiled:
             options = {} if wide or self.device.type != "cpu" else {"cpp.simdlen": 1}

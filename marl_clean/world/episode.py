@@ -38,7 +38,6 @@ class FurnitureMoves(NamedTuple):
 
 def begin(
     houses: HouseTensors,
-    rows: Int[Tensor, " row"],
     env_index: Int[Tensor, " env"],
     episode: Int[Tensor, " env"],
     seed: Seed,
@@ -47,12 +46,11 @@ def begin(
     furniture: FurnitureMoves,
     rules: Rules,
 ) -> State:
-    """Return the worlds `rows` alone, at step 0 of their episodes, starts cleaned.
+    """Return the worlds `env_index` at step 0 of their episodes, starts cleaned.
 
     A pure function of (seed, env index, episode): no other world has a part in it. Drawn houses
     are among the first `num_open`.
     """
-    env_index, episode = env_index[rows], episode[rows]
     num_houses, height, width = houses.blocked.shape
     n_agents = houses.starts.shape[1]
     if order is HouseOrder.FIXED:

@@ -12,7 +12,6 @@ from marl_clean.world.shared_map import is_known_dirty, is_known_free, is_unknow
 from marl_clean.world.state import State
 
 
-@torch.compiler.disable  # a flood runs until nothing changes: no graph holds it
 def steps_to_frontier(state: State, rules: Rules) -> Float[Tensor, "env map height width"]:
     """Return the walking distance from every cell to the nearest unknown or dirty one.
 

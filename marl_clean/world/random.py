@@ -16,7 +16,7 @@ from marl_clean.world.state import State
 _LOW_32_BITS = 0xFFFFFFFF
 
 Seed = int | Int[Tensor, ""]
-"""A number of up to 64 bits. As a tensor it is no constant of a function that is compiled."""
+"""A number of up to 64 bits, or what `seed_tensor` makes of it for compiled functions."""
 
 
 class Purpose(IntEnum):
@@ -32,9 +32,15 @@ class Purpose(IntEnum):
 
 
 def seed_tensor(seed: int, device: torch.device) -> Int[Tensor, ""]:
-    """Return the low 64 bits of a seed, as random_bits takes them."""
-    low = seed & 0xFFFFFFFFFFFFFFFF
-    return torch.tensor(low - (low >> 63 << 64), device=device)
+    """Return a seed in the form in which it may differ from call to call of a compiled function.
+
+    Hashed already, because what compiling takes grows steeply with the hashes in a row.
+    """
+    return torch.tensor(_hash_of_seed(seed), device=device)
+
+
+def _hash_of_seed(seed: int) -> int:
+    return _mix(_mix(seed & _LOW_32_BITS) ^ (seed >> 32 & _LOW_32_BITS))
 
 
 def _mix(word: Any) -> Any:
@@ -54,7 +60,7 @@ def random_bits(seed: Seed, *words: int | Tensor) -> Int[Tensor, "..."]:
 
     The words broadcast against each other; at least one of them is a tensor.
     """
-    state = _mix(_mix(seed & _LOW_32_BITS) ^ (seed >> 32 & _LOW_32_BITS))
+    state = seed if isinstance(seed, Tensor) else _hash_of_seed(seed)
     for word in words:
         state = _mix(state ^ word)
     return torch.as_tensor(state)

@@ -69,7 +69,7 @@ class Bare:
         self.remember(now, action, reward, then, terminated, done)
         if done.any():
             rows = done.nonzero()[:, 0]
-            env.state.write_rows_(rows, env._begin(rows, env.state.episode + 1))
+            env.state.write_rows_(rows, env._begin(rows, env.state.episode[rows] + 1))
             fresh = self.observe(env.state.rows_of(rows))
             then = tuple(x.index_copy(0, rows, y) for x, y in zip(then, fresh, strict=True))
         return then

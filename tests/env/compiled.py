@@ -24,6 +24,7 @@ NOISE = ["env.bump_noise=0.3", "observation.position_noise=0.3"]
 
 
 def main() -> None:
+    torch._dynamo.config.fail_on_recompile_limit_hit = True  # not silently uncompiled
     settings = sys.argv[1:] or ["observation=frontier", "env.memory=private", *NOISE]
     for seed in (0, 1):  # another seed, such as that of an evaluation, is no constant
         check([*settings, f"seed={seed}"])

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from scipy.stats import chisquare
 
@@ -12,7 +13,7 @@ from marl_clean.house.drawn import Drawn
 from marl_clean.house.rooms import Rooms
 from marl_clean.settings import HouseOrder, Knowledge
 from marl_clean.world.distance import is_connected
-from marl_clean.world.random import Purpose, random_below, random_bits
+from marl_clean.world.random import Purpose, random_below, random_bits, seed_tensor
 from tests.world.play import houses_of
 
 ENOUGH = 1e-3  # a fair draw falls below this p once in a thousand; the draws are fixed
@@ -33,6 +34,15 @@ def test_draws_are_uniform_and_streams_differ() -> None:
         assert (first == other).float().mean() < 1e-3
         correlation = torch.corrcoef(torch.stack([first, other]).double())[0, 1]
         assert abs(correlation) < 0.03
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2**32 + 7, 2**63, 2**63 + 5, 2**64 - 1, -3])
+def test_a_seed_as_a_tensor_draws_the_same(seed: int) -> None:
+    env = torch.arange(50)
+    as_tensor = seed_tensor(seed, env.device)
+    assert as_tensor.dtype == torch.int64
+    assert torch.equal(random_bits(as_tensor, env, 3), random_bits(seed, env, 3))
+    assert torch.equal(random_below(7, as_tensor, env), random_below(7, seed, env))
 
 
 def test_draws_keep_their_values() -> None:

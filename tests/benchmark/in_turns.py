@@ -1,0 +1,79 @@
+"""Two checkouts of this project, their whole env timed in turns: which is faster, and by how much.
+
+A busy machine swings by more within a minute than most changes gain; in slices both swing alike.
+`python -m tests.benchmark.in_turns BEFORE AFTER` with two folders, such as that of
+`git worktree add BEFORE 96de350` and `.`. A folder against itself tells what is noise.
+"""
+
+import os
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+PAIRS = 40
+WARM_UP, STEPS = 10, 150
+WORKER = f"""
+import sys, time
+import torch
+from marl_clean import benchmark, keys
+from marl_clean.compose import compose_config
+
+env = benchmark.env_of(compose_config([]), 1024, 3, 20)
+drawn, carried = benchmark.actions(env), env.reset()
+state = env.base_env.state
+state.last_progress = state.step - torch.arange(1024) % 100  # staggered ends
+
+def play(count):
+    global carried
+    for index in range(count):
+        carried[keys.ACTION] = drawn[index % len(drawn)]
+        _, carried = env.step_and_maybe_reset(carried)
+
+play(400)
+for line in sys.stdin:
+    play({WARM_UP})
+    began = time.perf_counter()
+    play({STEPS})
+    print((time.perf_counter() - began) / {STEPS}, flush=True)
+"""
+
+
+def worker(folder: str) -> subprocess.Popen[str]:
+    """Start a process that plays a slice for every line it is sent."""
+    return subprocess.Popen(
+        [sys.executable, "-c", WORKER],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(Path(folder).resolve())},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def slice_seconds(process: subprocess.Popen[str]) -> float:
+    """Return the seconds a step of the next slice."""
+    assert process.stdin is not None and process.stdout is not None
+    process.stdin.write("\n")
+    process.stdin.flush()
+    return float(process.stdout.readline())
+
+
+def main(before: str, after: str) -> None:
+    workers = [worker(before), worker(after)]
+    for process in workers:
+        slice_seconds(process)
+    taken = []
+    for pair in range(PAIRS):
+        order = (0, 1) if pair % 2 else (1, 0)
+        seconds = {which: slice_seconds(workers[which]) for which in order}
+        taken.append((seconds[0], seconds[1]))
+    for process in workers:
+        process.communicate()
+    old, new = (statistics.median(column) * 1e3 for column in zip(*taken, strict=True))
+    ratio = statistics.median(late / early for early, late in taken)
+    sys.stdout.write(f"before {old:.3f} ms a step, after {new:.3f}, ratio {ratio:.3f}\n")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
