@@ -123,3 +123,18 @@ def check_device(device: str) -> None:
     valid += ["mps"] if torch.backends.mps.is_available() else []
     if device not in valid:
         raise BadInput(f"device={device}: not on this machine; valid: {', '.join(valid)}")
+
+
+def check_compile(config: DictConfig) -> None:
+    """Raises BadInput when the env is to be compiled and torch lies in a path with a space.
+
+    torch 2.13 does not quote that path for the linker (pytorch/pytorch pull request 191010).
+    """
+    torch = find_spec("torch")
+    if not config.env.get("compile", False) or torch is None or torch.origin is None:
+        return
+    if " " in torch.origin:
+        raise BadInput(
+            f"env.compile=true: torch cannot compile where its path has a space, {torch.origin}; "
+            "start Python by a link to its environment without one, or leave it out"
+        )

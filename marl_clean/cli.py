@@ -116,11 +116,13 @@ def matrix(arguments: argparse.Namespace) -> int:
 
 def benchmark(arguments: argparse.Namespace) -> int:
     """measure speed, into runs/benchmark.json"""
-    from marl_clean.checks import check_square_view
+    from marl_clean.checks import check_compile, check_square_view
     from marl_clean.compose import compose_config
 
     config = _in_houses(compose_config(arguments.settings))
     check_square_view(config, "benchmark")
+    config.env.compile = True
+    check_compile(config)
     from marl_clean import benchmark as command
 
     command.main(config)
@@ -249,11 +251,12 @@ def _usage() -> str:
 
 
 def _checked(config: "DictConfig") -> "DictConfig":
-    from marl_clean.checks import check_device, check_house, check_optimum
+    from marl_clean.checks import check_compile, check_device, check_house, check_optimum
 
     check_optimum(config)
     check_house(config)
     check_device(config.device)
+    check_compile(config)
     return config
 
 

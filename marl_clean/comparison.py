@@ -11,7 +11,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 from rich.console import Console
 
-from marl_clean.checks import check_device, check_house, check_plans
+from marl_clean.checks import check_compile, check_device, check_house, check_plans
 from marl_clean.compose import BUDGET, EXPERIMENT, compose_config, parse_overrides
 from marl_clean.errors import BadInput
 from marl_clean.fitting import check_fit
@@ -104,6 +104,7 @@ def jobs_of(name: str, settings: Sequence[str]) -> dict[str, list[DictConfig]]:
             check_house(config)
             check_fit(config)
             check_device(config.device)
+            check_compile(config)
             check_plans(config)
             check_same_run(config, RUNS / config.name)
     return jobs

@@ -12,6 +12,7 @@ from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig
 
 from marl_clean.checks import (
+    check_compile,
     check_device,
     check_house,
     check_old_houses,
@@ -117,4 +118,5 @@ def train_job(composed: DictConfig) -> None:
 
     config = compose_for_training(list(HydraConfig.get().overrides.task))
     check_device(config.device)  # here, since the job's machine may not be the launching one
+    check_compile(config)
     train.main(config, RUNS / config.name)

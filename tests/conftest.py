@@ -23,11 +23,17 @@ def one_thread() -> Iterator[None]:
 
 
 @pytest.fixture
-def run_script() -> Callable[[str], None]:
-    """Run a module of its own process, without the checks at run time; it must end well."""
+def run_script(tmp_path: Path) -> Callable[[str], None]:
+    """Run a module of its own process, without the checks at run time; it must end well.
+
+    By a link, since torch cannot compile from a path with a space (see `check_compile`).
+    """
 
     def run(module: str) -> None:
-        command = [sys.executable, "-W", "ignore", "-m", module]
+        environment = tmp_path / "environment"
+        environment.symlink_to(sys.prefix)
+        python = environment / Path(sys.executable).relative_to(sys.prefix)
+        command = [str(python), "-W", "ignore", "-m", module]
         root = Path(__file__).parents[1]
         done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=400)
         assert done.returncode == 0, done.stderr

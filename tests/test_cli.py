@@ -7,11 +7,12 @@ import signal
 import subprocess
 import sys
 import types
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 import pytest
 
-from marl_clean import __version__, cli, listing
+from marl_clean import __version__, checks, cli, listing
 from marl_clean.compose import conf_folder, parse_overrides, rooms
 from marl_clean.presets import sweep_of
 from marl_clean.stored import load_config
@@ -122,6 +123,16 @@ def test_a_device_that_is_not_there(place: Path, capsys: pytest.CaptureFixture[s
     assert cli.main(["train", "device=cuda:99"]) == cli.BAD_INPUT
     assert "device=cuda:99: not on this machine; valid: cpu" in capsys.readouterr().err
     assert not Path("runs").exists()
+
+
+@pytest.mark.parametrize("command", ["benchmark", "watch planner=random env.compile=true"])
+def test_compiling_from_a_path_with_a_space_is_bad_input(
+    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = ModuleSpec("torch", None, origin="/my house/torch/__init__.py")
+    monkeypatch.setattr(checks, "find_spec", lambda name: there)
+    assert cli.main(command.split()) == cli.BAD_INPUT
+    assert "env.compile=true: torch cannot compile" in capsys.readouterr().err
 
 
 def test_bad_input_is_met_before_torch_is_imported(place: Path) -> None:
