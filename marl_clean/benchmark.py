@@ -29,8 +29,8 @@ from marl_clean.compose import compose_config
 from marl_clean.evaluation.table import output
 from marl_clean.jumanji_cleaner import cleaner_step_seconds
 from marl_clean.stored import RUNS
-from marl_clean.world.dynamics import advance, commit_
 from marl_clean.world.sensing import crop
+from marl_clean.world.turn import play_
 
 REPEATS = 7
 STEPS = 200
@@ -201,7 +201,7 @@ def world_seconds(env: TransformedEnv) -> float:
     env.reset()
     base, drawn = env.base_env, actions(env)
     step, look, view_size = (
-        base.compiled(advance),
+        base.compiled(play_),
         base.compiled(crop, wide=True),
         env.transform[1].view_size,
     )
@@ -209,7 +209,7 @@ def world_seconds(env: TransformedEnv) -> float:
     def play(count: int) -> None:
         state = base.state
         for index in range(count):
-            commit_(state, step(state, drawn[index % ACTION_SETS], base.moves, base.rules))
+            step(state, drawn[index % ACTION_SETS], base.moves, base.rules)
             look(state.record, state.position, state.step, view_size, base.rules)
 
     return seconds_a_step(play, env.device)

@@ -11,6 +11,7 @@ from torchrl.envs import Transform
 
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.world.state import State
+from marl_clean.world.turn import Reader
 
 
 class WorldTransform(Transform):
@@ -25,6 +26,11 @@ class WorldTransform(Transform):
     def cleaning(self) -> CleaningEnv:
         """The env whose state is read."""
         return self.container.base_env
+
+    @property
+    def reader(self) -> Reader | None:
+        """What `read` does, where it is one function that can be part of a compiled step."""
+        return None
 
     @abstractmethod
     def read(self, state: State) -> dict[NestedKey, Tensor]:

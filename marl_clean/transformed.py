@@ -4,12 +4,20 @@ from jaxtyping import Bool, Int
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.envs import Compose, InitTracker, RewardSum, TensorDictPrimer, TransformedEnv
+from torchrl.envs import (
+    Compose,
+    InitTracker,
+    RewardSum,
+    TensorDictPrimer,
+    Transform,
+    TransformedEnv,
+)
 
 from marl_clean import keys
 from marl_clean.channel_seed import ChannelSeed
 from marl_clean.reward.base import RewardSplit
 from marl_clean.transform import WorldTransform
+from marl_clean.world.turn import Reader
 
 KNOWN = (WorldTransform, RewardSplit, ChannelSeed, RewardSum, InitTracker, TensorDictPrimer)
 """Transforms that add entries and leave actions as they are."""
@@ -32,12 +40,15 @@ class TransformedWorlds(TransformedEnv):
         if not usual or not all(isinstance(one, KNOWN) for one in transforms):
             return super().step_and_maybe_reset(tensordict)
         self._assert_tensordict_shape(tensordict)
-        after = self.base_env._step(tensordict)
+        after, readings = self.base_env.play(tensordict.get(keys.ACTION), self.readers)
+        for key, value in readings.items():
+            after.set(key, value)
         carried_over = tensordict.get("next", None)  # what a policy remembers
         if carried_over is not None:
             after.update(carried_over.exclude(*after.keys(True, True)))
         for one in transforms:
-            after = one._step(tensordict, after)
+            if reader_of(one) is None:
+                after = one._step(tensordict, after)
         tensordict.set("next", after)
         carried = self._step_mdp(tensordict)
         done = after.get(keys.DONE)
@@ -52,6 +63,11 @@ class TransformedWorlds(TransformedEnv):
         whole = self.transform
         return list(whole.transforms) if isinstance(whole, Compose) else [whole]
 
+    @property
+    def readers(self) -> list[Reader]:
+        """What the transforms have computed along with a step."""
+        return [reader for one in self.transforms if (reader := reader_of(one))]
+
     def begin_anew(
         self, carried: TensorDictBase, done: Bool[Tensor, "env 1"], rows: Int[Tensor, " row"]
     ) -> None:
@@ -59,11 +75,11 @@ class TransformedWorlds(TransformedEnv):
 
         What no first frame has, such as what a policy wrote, is 0 there.
         """
-        fresh = self.base_env.begin_rows(rows)
-        entries: dict[NestedKey, Tensor] = {keys.POSITION: fresh.position}
+        fresh, readings = self.base_env.begin_rows(rows, self.readers)
+        entries: dict[NestedKey, Tensor] = {keys.POSITION: fresh.position, **readings}
         for one in self.transforms:
             if isinstance(one, WorldTransform):
-                entries |= one.read(fresh)
+                entries |= {} if reader_of(one) else one.read(fresh)
             elif not isinstance(one, RewardSplit | RewardSum):  # whose sums begin at 0
                 asked = TensorDict({"_reset": done}, self.batch_size, device=self.device)
                 begun = one._reset(asked, asked.empty())
@@ -73,3 +89,7 @@ class TransformedWorlds(TransformedEnv):
                 carried.set(key, before.index_copy(0, rows, entries[key]))
             else:
                 carried.set(key, before.index_fill(0, rows, 0))
+
+
+def reader_of(transform: Transform) -> Reader | None:
+    return transform.reader if isinstance(transform, WorldTransform) else None

@@ -154,16 +154,16 @@ def train(folder: Path, die_after: int | None = None) -> CleaningEnv:
     torch.manual_seed(cfg.seed)
     env = build.make_env(cfg)
     agent = build.make_agent(cfg, env)
-    step, played = env.base_env._step, 0
+    step, played = env.base_env.play, 0
 
-    def counted(tensordict):
+    def counted(*arguments):
         nonlocal played
         played += 1
         if played == die_after:
             raise Killed
-        return step(tensordict)
+        return step(*arguments)
 
-    env.base_env._step = counted
+    env.base_env.play = counted
     trainer = instantiate(cfg.trainer)
     trainer.train(env, agent, lambda policy: {"T_100": 1.0}, [Csv(folder)], folder)
     return env.base_env

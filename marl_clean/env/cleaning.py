@@ -1,13 +1,13 @@
 """The TorchRL face of the cleaning world."""
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Int, UInt8
-from tensordict import TensorDictBase
+from jaxtyping import Int, UInt8
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from marl_clean import keys
@@ -32,16 +32,14 @@ from marl_clean.settings import (
     Worlds,
 )
 from marl_clean.viewer import draw
-from marl_clean.world.dynamics import MOVES, advance, commit_, episode_ends, touch_
+from marl_clean.world import turn
+from marl_clean.world.dynamics import MOVES
 from marl_clean.world.episode import FurnitureMoves, begin
 from marl_clean.world.furniture import move_furniture_
 from marl_clean.world.noise import unnoticed_bumps
 from marl_clean.world.random import Purpose, random_bits, seed_tensor, words_of_robots
 from marl_clean.world.rules import Rules
-from marl_clean.world.shared_map import merge_maps
 from marl_clean.world.state import State
-
-Contact = Callable[[State, Rules], Bool[Tensor, "env agent agent"]]
 
 
 class CleaningEnv(Compiling):
@@ -136,7 +134,7 @@ class CleaningEnv(Compiling):
         compile: bool = False,
         margin: int = 7,
         house_order: HouseOrder = HouseOrder.RANDOM,
-        contact: Contact | None = None,
+        contact: turn.Contact | None = None,
         first_env: int = 0,
         seed: int = 0,
         device: torch.device | str = "cpu",
@@ -178,26 +176,22 @@ class CleaningEnv(Compiling):
         self.action_spec, self.observation_spec, self.reward_spec, self.done_spec = specs
         self.to(self.device)
         self._set_seed(seed)
-        everyone = torch.arange(num_envs, device=self.device)
-        self.state = self._begin(everyone, torch.zeros_like(everyone))
-
-    def open_houses(self, count: int) -> None:
-        """Let episodes that start from now on draw among the first `count` houses alone."""
-        if not 1 <= count <= len(self.houses):
-            raise BadInput(f"open_houses({count}): valid: 1 to {len(self.houses)}")
-        self.num_open = count
-
-    def _begin(self, rows: Tensor, episode: Tensor) -> State:
-        return self.compiled(begin)(
+        self.state = begin(
             self._houses,
-            self.env_index[rows],
-            episode,
+            self.env_index,
+            torch.zeros_like(self.env_index),
             self.seed_word,
             self.house_order,
             self.num_open,
             self.furniture,
             self.rules,
         )
+
+    def open_houses(self, count: int) -> None:
+        """Let episodes that start from now on draw among the first `count` houses alone."""
+        if not 1 <= count <= len(self.houses):
+            raise BadInput(f"open_houses({count}): valid: 1 to {len(self.houses)}")
+        self.num_open = count
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
@@ -208,35 +202,52 @@ class CleaningEnv(Compiling):
         self.begin_rows(rows)
         return first_frame(self.state)
 
-    def begin_rows(self, rows: Int[Tensor, " row"]) -> State:
-        """Begin the next episode in the worlds `rows`, and return these worlds alone."""
-        fresh = self._begin(rows, self.state.episode[rows] + self._started)
-        self._meet(fresh)
-        self.state.write_rows_(rows, fresh)
+    def begin_rows(
+        self, rows: Int[Tensor, " row"], readers: Sequence[turn.Reader] = ()
+    ) -> tuple[State, turn.Readings]:
+        """Begin the next episode in the worlds `rows`.
+
+        Returns these worlds alone, and what `readers` tell of them, computed along the way.
+        """
+        fresh, readings = self.compiled(turn.begin_rows_)(
+            self.state,
+            rows,
+            self._started,
+            self._houses,
+            self.env_index,
+            self.seed_word,
+            self.house_order,
+            self.num_open,
+            self.furniture,
+            self.rules,
+            self.contact,
+            readers,
+        )
         self.reset_rows, self.reset_state = rows, fresh
         self._started = True
-        return fresh
+        return fresh, readings
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        state = self.state
-        step = self.compiled(advance)
-        unnoticed = None
-        if self.rules.bump_noise:
-            draw = self.compiled(unnoticed_bumps)
-            unnoticed = draw(state, self.env_index, self.seed_word, self.rules.bump_noise)
-        outcome = step(state, tensordict.get(keys.ACTION), self.moves, self.rules, unnoticed)
-        commit_(state, outcome)
-        if self.furniture.during_episode:
-            move_furniture_(state, self.rules.margin)
-        if self.rules.sensor is Sensor.TOUCH4:
-            touch_(state, self.rules)
-        self._meet(state)
-        return next_frame(state, outcome, *episode_ends(state, self.rules.stuck_after))
+        return self.play(tensordict.get(keys.ACTION))[0]
 
-    def _meet(self, state: State) -> None:
-        """Unite the maps of robots in contact, before anyone observes (`memory=merged`)."""
-        if self.rules.memory is Memory.MERGED and self.contact is not None:
-            state.record = merge_maps(state.record, self.contact(state, self.rules))
+    def play(
+        self, action: Int[Tensor, "env agent"], readers: Sequence[turn.Reader] = ()
+    ) -> tuple[TensorDict, turn.Readings]:
+        """Play a step; return its frame, and what `readers` tell, computed along the way."""
+        state, rules = self.state, self.rules
+        unnoticed = None
+        if rules.bump_noise:
+            draw = self.compiled(unnoticed_bumps)
+            unnoticed = draw(state, self.env_index, self.seed_word, rules.bump_noise)
+        moved = (state, action, self.moves, rules, unnoticed)
+        if self.furniture.during_episode or rules.sensor is Sensor.TOUCH4:
+            outcome = self.compiled(turn.play_)(*moved)
+            if self.furniture.during_episode:
+                move_furniture_(state, rules.margin)
+            settled = self.compiled(turn.settle_)(state, rules, self.contact, readers)
+        else:
+            outcome, settled = self.compiled(turn.step_)(*moved, self.contact, readers)
+        return next_frame(state, outcome, settled), settled.readings
 
     def _set_seed(self, seed: int | None) -> None:
         """Fix everything that the env draws; the next reset starts episode 0 of this seed."""

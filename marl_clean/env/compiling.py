@@ -7,6 +7,11 @@ import torch
 
 from marl_clean.env.base import Played
 
+IN_PLACE = {
+    "reorder_for_locality": False,  # reads put after writes would keep a copy of the map for them
+    "size_asserts": False,  # of every tensor at every call; their shapes are guarded already
+}
+
 
 class Compiling(Played):
     """An env whose `compile` compiles the pure functions that it asks `compiled` for."""
@@ -17,9 +22,8 @@ class Compiling(Played):
     def compile(self, *, warmup: int | None = None, **kwargs: Any) -> "Compiling":
         """Compile the pure functions of a step, each on its own, and return the env.
 
-        Not `step_and_maybe_reset` as a whole, as TorchRL does: maps written inside a compiled
-        function would be copied at every step. `kwargs` go to `torch.compile`; there is nothing
-        to warm up.
+        Not `step_and_maybe_reset` as a whole, as TorchRL does: how many worlds begin anew is
+        another number each time. `kwargs` go to `torch.compile`; there is nothing to warm up.
         """
         self._compiled, self._compile_kwargs = {}, kwargs
         return self
@@ -33,7 +37,7 @@ class Compiling(Played):
         if self._compiled is None:
             return function
         if function not in self._compiled:
-            options = {} if wide or self.device.type != "cpu" else {"cpp.simdlen": 1}
-            kwargs = {"options": options, **self._compile_kwargs}
+            scalar = {} if wide or self.device.type != "cpu" else {"cpp.simdlen": 1}
+            kwargs = {"options": {**IN_PLACE, **scalar}, **self._compile_kwargs}
             self._compiled[function] = torch.compile(function, **kwargs)
         return self._compiled[function]

@@ -1,7 +1,6 @@
 """What the cleaning env tells of a moment, as TensorDicts."""
 
 import torch
-from jaxtyping import Bool
 from tensordict import TensorDict
 from torch import Tensor
 
@@ -9,6 +8,7 @@ from marl_clean import keys
 from marl_clean.env.specs import REWARD_TERMS
 from marl_clean.world.dynamics import Outcome
 from marl_clean.world.state import State
+from marl_clean.world.turn import Settled
 
 
 def first_frame(state: State) -> TensorDict:
@@ -18,19 +18,12 @@ def first_frame(state: State) -> TensorDict:
     return _of_worlds(state, {"position": state.position}, endings)
 
 
-def next_frame(
-    state: State,
-    outcome: Outcome,
-    terminated: Bool[Tensor, " env"],
-    truncated: Bool[Tensor, " env"],
-) -> TensorDict:
+def next_frame(state: State, outcome: Outcome, settled: Settled) -> TensorDict:
     """Return the frame after a step: places, what each robot earned and why, what ended."""
     terms = (outcome.step_term, outcome.cleaning_term, outcome.discovery_term)
     info = _of_robots(state, dict(zip(REWARD_TERMS, terms, strict=True)))
     robots = {"position": state.position, "own_reward": outcome.own_reward, "info": info}
-    flags = (terminated | truncated, terminated, truncated)
-    endings = {key: flag[:, None] for key, flag in zip(keys.ENDINGS, flags, strict=True)}
-    return _of_worlds(state, robots, endings)
+    return _of_worlds(state, robots, {key: getattr(settled, key) for key in keys.ENDINGS})
 
 
 def _of_worlds(state: State, robots: dict, endings: dict[str, Tensor]) -> TensorDict:

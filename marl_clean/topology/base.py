@@ -3,7 +3,7 @@
 from abc import abstractmethod
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Binary, Bounded, TensorSpec
@@ -15,6 +15,7 @@ from marl_clean.transform import WorldTransform
 from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import distance_rank
 from marl_clean.world.state import State
+from marl_clean.world.turn import Reader
 
 
 class Topology(WorldTransform):
@@ -39,18 +40,19 @@ class Topology(WorldTransform):
             f"topology={level}: needs positions, which env does not tell; valid: full, none"
         )
 
-    def read(self, state: State) -> dict[NestedKey, Tensor]:
-        adjacency, rank = self.compiled(self.graph)(state, self.cleaning.rules)
-        return {
-            keys.ADJACENCY: adjacency,
-            keys.DISTANCE_RANK: rank,
-        }
+    @property
+    def reader(self) -> Reader:
+        return self.graph
 
-    def graph(
-        self, state: State, rules: Rules
-    ) -> tuple[Bool[Tensor, "env agent agent"], Int[Tensor, "env agent agent"]]:
-        """Return who is in contact, and who is how near."""
-        return self.contact(state, rules), distance_rank(state.position)
+    def read(self, state: State) -> dict[NestedKey, Tensor]:
+        return self.compiled(self.graph)(state, self.cleaning.rules)
+
+    def graph(self, state: State, rules: Rules) -> dict[NestedKey, Tensor]:
+        """Tell who is in contact, and who is how near."""
+        return {
+            keys.ADJACENCY: self.contact(state, rules),
+            keys.DISTANCE_RANK: distance_rank(state.position),
+        }
 
     def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:
         shape = torch.Size([env.num_envs, env.n_agents, env.n_agents])

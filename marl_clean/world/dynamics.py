@@ -1,7 +1,7 @@
 """Who moves where, and what a step does to the map (paper §3.2).
 
-`advance` is pure: it reads the state and says what happens, `commit_` writes it. The two are
-apart because a compiled function that writes into a map copies the whole map each step.
+`advance` is pure: it reads the state and says what happens; `commit_` writes it. Matrices are
+written by `index_put_`, which compiled code does in place too; `scatter_` would copy them.
 """
 
 from typing import NamedTuple
@@ -123,7 +123,8 @@ def commit_(state: State, outcome: Outcome) -> None:
         setattr(state, name, getattr(outcome, name))
     for name in ("step", "last_progress", "num_visited"):
         setattr(state, name, getattr(outcome, name))
-    state.visited.view(-1).scatter_(0, outcome.visited_index.reshape(-1), True)
+    true = torch.ones((), dtype=torch.bool, device=state.visited.device)
+    state.visited.view(-1).index_put_((outcome.visited_index.reshape(-1),), true)
     write_records_(state.record, outcome.record_index, outcome.record_value)
 
 

@@ -82,7 +82,7 @@ def write_records_(
 
     `index` is flat over the whole tensor. Entries that meet in one cell carry one value.
     """
-    record.view(-1).scatter_(0, index.reshape(-1), value.reshape(-1))
+    record.view(-1).index_put_((index.reshape(-1),), value.reshape(-1))
 
 
 def merge_maps(

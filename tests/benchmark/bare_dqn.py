@@ -18,8 +18,9 @@ from marl_clean.agent.iql import Iql
 from marl_clean.compose import compose_config
 from marl_clean.schema import instantiate
 from marl_clean.trainer.off_policy import OffPolicy
-from marl_clean.world.dynamics import advance, commit_, episode_ends
+from marl_clean.world.dynamics import episode_ends
 from marl_clean.world.sensing import crop, distance_rank, in_view
+from marl_clean.world.turn import play_
 
 FRAMES = 16_384
 PAIRS = 5
@@ -60,8 +61,7 @@ class Bare:
         action = self.network(*now)[0].argmax(-1)
         random = torch.rand(action.shape) < epsilon
         action = torch.where(random, torch.randint(4, action.shape), action)
-        outcome = advance(env.state, action, env.moves, env.rules)
-        commit_(env.state, outcome)
+        outcome = play_(env.state, action, env.moves, env.rules)
         terminated, truncated = episode_ends(env.state, env.rules.stuck_after)
         own = outcome.own_reward
         reward = (own + now[1].float() @ own).squeeze(-1)
@@ -69,8 +69,7 @@ class Bare:
         self.remember(now, action, reward, then, terminated, done)
         if done.any():
             rows = done.nonzero()[:, 0]
-            env.state.write_rows_(rows, env._begin(rows, env.state.episode[rows] + 1))
-            fresh = self.observe(env.state.rows_of(rows))
+            fresh = self.observe(env.begin_rows(rows)[0])
             then = tuple(x.index_copy(0, rows, y) for x, y in zip(then, fresh, strict=True))
         return then
 
@@ -122,6 +121,7 @@ class Bare:
     def train(self) -> None:
         trainer, num_envs = self.trainer, self.env.num_envs
         frames = updates = 0
+        self.env.reset()
         now = self.observe(self.env.state)
         while frames < trainer.total_frames:
             progress = frames / trainer.total_frames / self.settings.annealing_fraction

@@ -41,16 +41,16 @@ def train(folder, overrides, die_after: int | None = None) -> None:
     comm = build.make_comm(cfg.comm, encoder.out_features, shape)
     agent = instantiate(cfg.agent, encoder=encoder, comm=comm)
     if die_after is not None:
-        step, played = env.base_env._step, 0
+        step, played = env.base_env.play, 0
 
-        def dying(tensordict):
+        def dying(*arguments):
             nonlocal played
             played += 1
             if played > die_after:
                 raise Killed
-            return step(tensordict)
+            return step(*arguments)
 
-        env.base_env._step = dying
+        env.base_env.play = dying
     trainer = instantiate(cfg.trainer)
     assert isinstance(trainer, OffPolicy)
     trainer.train(env, agent, lambda policy: {"T_100": 1.0}, [Csv(folder)], folder)
