@@ -1,18 +1,15 @@
-"""Jumanji's Cleaner, our nearest relative, timed beside our own world (an extra)."""
+"""Jumanji's Cleaner, our nearest relative, played beside our own world (an extra)."""
 
 import importlib.util
-import statistics
-import time
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 
-def cleaner_step_seconds(
-    num_envs: int, n_agents: int, side: int, repeats: int, steps: int
-) -> float | None:
-    """Time a step of a jitted, vmapped and scanned Cleaner under random valid actions.
+def cleaner(num_envs: int, n_agents: int, side: int) -> Callable[[int], None] | None:
+    """Return what plays a number of steps: jitted, vmapped and scanned, random valid actions.
 
-    Returns the median seconds a step of the whole batch; None where Jumanji is not installed
-    (`pip install marl-clean[benchmark]`).
+    None where Jumanji is not installed (`pip install marl-clean[benchmark]`).
     """
     if importlib.util.find_spec("jumanji") is None:
         return None
@@ -28,16 +25,15 @@ def cleaner_step_seconds(
         action = jax.random.categorical(key, jax.numpy.where(valid, 0.0, -jax.numpy.inf))
         return jax.vmap(env.step)(state, action), timestep.reward
 
-    @jax.jit
-    def play(carry: Any, key: Any) -> Any:
-        return jax.lax.scan(step, carry, jax.random.split(key, steps))
+    @partial(jax.jit, static_argnums=1)
+    def scan(carry: Any, count: int) -> Any:
+        return jax.lax.scan(step, carry, jax.random.split(key, count))[0]
 
     key = jax.random.PRNGKey(0)
     carry = jax.jit(jax.vmap(env.reset))(jax.random.split(key, num_envs))
-    carry, _ = jax.block_until_ready(play(carry, key))
-    taken = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        carry, _ = jax.block_until_ready(play(carry, key))
-        taken.append((time.perf_counter() - began) / steps)
-    return statistics.median(taken)
+
+    def play(count: int) -> None:
+        nonlocal carry
+        carry = jax.block_until_ready(scan(carry, count))
+
+    return play

@@ -27,9 +27,11 @@ class WorldTransform(Transform):
         """The env whose state is read."""
         return self.container.base_env
 
-    @property
-    def reader(self) -> Reader | None:
-        """What `read` does, where it is one function that can be part of a compiled step."""
+    def reader(self, *, few: bool = False) -> Reader | None:
+        """Return what `read` does, where that is one function to be compiled with a step.
+
+        That asks for short loops; with `few` worlds, those that begin, it does not.
+        """
         return None
 
     @abstractmethod

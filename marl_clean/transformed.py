@@ -9,7 +9,6 @@ from torchrl.envs import (
     InitTracker,
     RewardSum,
     TensorDictPrimer,
-    Transform,
     TransformedEnv,
 )
 
@@ -17,7 +16,7 @@ from marl_clean import keys
 from marl_clean.channel_seed import ChannelSeed
 from marl_clean.reward.base import RewardSplit
 from marl_clean.transform import WorldTransform
-from marl_clean.world.turn import Reader
+from marl_clean.world.turn import Along, Reader
 
 KNOWN = (WorldTransform, RewardSplit, ChannelSeed, RewardSum, InitTracker, TensorDictPrimer)
 """Transforms that add entries and leave actions as they are."""
@@ -35,19 +34,30 @@ class TransformedWorlds(TransformedEnv):
     def step_and_maybe_reset(
         self, tensordict: TensorDictBase
     ) -> tuple[TensorDictBase, TensorDictBase]:
-        transforms = self.transforms
-        usual = tensordict.device == self.device and "_step" not in tensordict
+        worlds, transforms = self.base_env, self.transforms
+        usual = tensordict.device == worlds.device and "_step" not in tensordict
         if not usual or not all(isinstance(one, KNOWN) for one in transforms):
             return super().step_and_maybe_reset(tensordict)
         self._assert_tensordict_shape(tensordict)
-        after, readings = self.base_env.play(tensordict.get(keys.ACTION), self.readers)
-        for key, value in readings.items():
+        along = Along(
+            readers=readers_of(transforms),
+            pay=next((one.pay for one in transforms if isinstance(one, RewardSplit)), None),
+            adjacency=tensordict.get(keys.ADJACENCY, None),
+        )
+        after, settled = worlds.play(tensordict.get(keys.ACTION), along)
+        for key, value in settled.readings.items():
             after.set(key, value)
+        if settled.reward is not None:
+            after.set(keys.REWARD, settled.reward)
         carried_over = tensordict.get("next", None)  # what a policy remembers
         if carried_over is not None:
             after.update(carried_over.exclude(*after.keys(True, True)))
         for one in transforms:
-            if reader_of(one) is None:
+            if isinstance(one, WorldTransform):
+                done_along = one.reader() is not None
+            else:
+                done_along = isinstance(one, RewardSplit) and settled.reward is not None
+            if not done_along:
                 after = one._step(tensordict, after)
         tensordict.set("next", after)
         carried = self._step_mdp(tensordict)
@@ -63,11 +73,6 @@ class TransformedWorlds(TransformedEnv):
         whole = self.transform
         return list(whole.transforms) if isinstance(whole, Compose) else [whole]
 
-    @property
-    def readers(self) -> list[Reader]:
-        """What the transforms have computed along with a step."""
-        return [reader for one in self.transforms if (reader := reader_of(one))]
-
     def begin_anew(
         self, carried: TensorDictBase, done: Bool[Tensor, "env 1"], rows: Int[Tensor, " row"]
     ) -> None:
@@ -75,11 +80,12 @@ class TransformedWorlds(TransformedEnv):
 
         What no first frame has, such as what a policy wrote, is 0 there.
         """
-        fresh, readings = self.base_env.begin_rows(rows, self.readers)
+        readers = readers_of(self.transforms, few=True)
+        fresh, readings = self.base_env.begin_rows(rows, readers)
         entries: dict[NestedKey, Tensor] = {keys.POSITION: fresh.position, **readings}
         for one in self.transforms:
             if isinstance(one, WorldTransform):
-                entries |= {} if reader_of(one) else one.read(fresh)
+                entries |= {} if one.reader(few=True) else one.read(fresh)
             elif not isinstance(one, RewardSplit | RewardSum):  # whose sums begin at 0
                 asked = TensorDict({"_reset": done}, self.batch_size, device=self.device)
                 begun = one._reset(asked, asked.empty())
@@ -91,5 +97,7 @@ class TransformedWorlds(TransformedEnv):
                 carried.set(key, before.index_fill(0, rows, 0))
 
 
-def reader_of(transform: Transform) -> Reader | None:
-    return transform.reader if isinstance(transform, WorldTransform) else None
+def readers_of(transforms: list, *, few: bool = False) -> list[Reader]:
+    """Return what transforms have computed along with a step, or with a beginning (`few`)."""
+    readers = (one.reader(few=few) for one in transforms if isinstance(one, WorldTransform))
+    return [reader for reader in readers if reader is not None]

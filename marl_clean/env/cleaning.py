@@ -231,9 +231,9 @@ class CleaningEnv(Compiling):
         return self.play(tensordict.get(keys.ACTION))[0]
 
     def play(
-        self, action: Int[Tensor, "env agent"], readers: Sequence[turn.Reader] = ()
-    ) -> tuple[TensorDict, turn.Readings]:
-        """Play a step; return its frame, and what `readers` tell, computed along the way."""
+        self, action: Int[Tensor, "env agent"], along: turn.Along = turn.NOTHING
+    ) -> tuple[TensorDict, turn.Settled]:
+        """Play a step; return its frame, and how the worlds stand, with what came `along`."""
         state, rules = self.state, self.rules
         unnoticed = None
         if rules.bump_noise:
@@ -244,10 +244,10 @@ class CleaningEnv(Compiling):
             outcome = self.compiled(turn.play_)(*moved)
             if self.furniture.during_episode:
                 move_furniture_(state, rules.margin)
-            settled = self.compiled(turn.settle_)(state, rules, self.contact, readers)
+            settled = self.compiled(turn.settle_)(state, outcome, rules, self.contact, along)
         else:
-            outcome, settled = self.compiled(turn.step_)(*moved, self.contact, readers)
-        return next_frame(state, outcome, settled), settled.readings
+            outcome, settled = self.compiled(turn.step_)(*moved, self.contact, along)
+        return next_frame(state, outcome, settled), settled
 
     def _set_seed(self, seed: int | None) -> None:
         """Fix everything that the env draws; the next reset starts episode 0 of this seed."""

@@ -7,8 +7,10 @@ from marl_clean import keys
 from marl_clean.observation.base import Observation
 from marl_clean.settings import Form, Memory, OddInt, Probability
 from marl_clean.world.noise import believed_position
+from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import crop, mark_contacts
 from marl_clean.world.state import State
+from marl_clean.world.turn import Reader
 
 
 class Crop(Observation):
@@ -34,6 +36,16 @@ class Crop(Observation):
 
     def shape(self) -> tuple[int, ...]:
         return 1, self.view_size, self.view_size
+
+    def reader(self, *, few: bool = False) -> Reader | None:
+        square_alone = type(self) is Crop  # classes derived from it read more
+        as_is = self.position_noise == 0 and self.cleaning.rules.memory is not Memory.PRIVATE
+        return self.square if few and square_alone and as_is else None
+
+    def square(self, state: State, rules: Rules) -> dict[NestedKey, Tensor]:
+        """Return the squares around where robots are, nobody marked in them."""
+        view = crop(state.record, state.position, state.step, self.view_size, rules)
+        return {keys.OBSERVATION: view.unsqueeze(2)}
 
     def read(self, state: State) -> dict[NestedKey, Tensor]:
         centre = self.centre(state)

@@ -17,4 +17,4 @@ class Neighbours(RewardSplit):
         own_reward: Float[Tensor, "*batch agent 1"],
         adjacency: Bool[Tensor, "*batch agent agent"],
     ) -> Float[Tensor, "*batch agent 1"]:
-        return own_reward + adjacency.to(own_reward.dtype) @ own_reward
+        return own_reward + (adjacency * own_reward.mT).sum(-1, keepdim=True)

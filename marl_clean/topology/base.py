@@ -40,8 +40,7 @@ class Topology(WorldTransform):
             f"topology={level}: needs positions, which env does not tell; valid: full, none"
         )
 
-    @property
-    def reader(self) -> Reader:
+    def reader(self, *, few: bool = False) -> Reader:
         return self.graph
 
     def read(self, state: State) -> dict[NestedKey, Tensor]:

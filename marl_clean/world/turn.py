@@ -8,7 +8,7 @@ compiled code that writes it twice copies it for the second time.
 from collections.abc import Callable, Hashable, Sequence
 from typing import NamedTuple
 
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from marl_clean.settings import HouseOrder, Memory, Sensor
@@ -20,9 +20,24 @@ from marl_clean.world.shared_map import merge_maps
 from marl_clean.world.state import State
 
 Contact = Callable[[State, Rules], Bool[Tensor, "env agent agent"]]
+Pay = Callable[
+    [Float[Tensor, "env agent 1"], Bool[Tensor, "env agent agent"]], Float[Tensor, "env agent 1"]
+]
+"""What each robot is paid, from what each earned and who was in contact before the step."""
 Readings = dict[Hashable, Tensor]
 Reader = Callable[[State, Rules], Readings]
 """A pure function of the worlds with short loops; see `Compiling.compiled`."""
+
+
+class Along(NamedTuple):
+    """What is computed along with a step."""
+
+    readers: Sequence[Reader] = ()
+    pay: Pay | None = None
+    adjacency: Bool[Tensor, "env agent agent"] | None = None  # before the step, for `pay`
+
+
+NOTHING = Along()
 
 
 class Settled(NamedTuple):
@@ -31,6 +46,7 @@ class Settled(NamedTuple):
     done: Bool[Tensor, "env 1"]
     terminated: Bool[Tensor, "env 1"]
     truncated: Bool[Tensor, "env 1"]
+    reward: Float[Tensor, "env agent 1"] | None  # None without `pay`
     readings: Readings
 
 
@@ -41,11 +57,11 @@ def step_(
     rules: Rules,
     unnoticed: Bool[Tensor, "env agent"] | None,
     contact: Contact | None,
-    readers: Sequence[Reader],
+    along: Along,
 ) -> tuple[Outcome, Settled]:
     """Play one step in place, one in which only the robots' own cells and bumps are written."""
     outcome = play_(state, action, moves, rules, unnoticed)
-    return outcome, settle_(state, rules, contact, readers)
+    return outcome, settle_(state, outcome, rules, contact, along)
 
 
 def play_(
@@ -62,18 +78,22 @@ def play_(
 
 
 def settle_(
-    state: State, rules: Rules, contact: Contact | None, readers: Sequence[Reader]
+    state: State, outcome: Outcome, rules: Rules, contact: Contact | None, along: Along
 ) -> Settled:
-    """Do what follows once everything has moved: touch, meet, end, be read."""
+    """Do what follows once everything has moved: touch, meet, end, be paid, be read."""
     if rules.sensor is Sensor.TOUCH4:
         touch_(state, rules)
     _meet_(state, rules, contact)
     terminated, truncated = episode_ends(state, rules.stuck_after)
+    reward = None
+    if along.pay is not None and along.adjacency is not None:
+        reward = along.pay(outcome.own_reward, along.adjacency)
     return Settled(
         done=(terminated | truncated)[:, None],
         terminated=terminated[:, None],
         truncated=truncated[:, None],
-        readings=_readings(state, rules, readers),
+        reward=reward,
+        readings=_readings(state, rules, along.readers),
     )
 
 

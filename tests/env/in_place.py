@@ -28,7 +28,7 @@ def main() -> None:
     env = build.make_env(compose_config(SETTINGS))
     env.reset()
     check(env, step(env))
-    check(env, lambda: env.base_env.begin_rows(torch.tensor([3, 5]), env.readers))
+    check(env, lambda: env.base_env.begin_rows(torch.tensor([3, 5])))
     for settings in (["env.memory=private"], ["env.sensor=touch4"]):
         env = build.make_env(compose_config([*SETTINGS, *settings]))
         check(env, step(env))
@@ -39,7 +39,7 @@ def main() -> None:
 
 def step(env: TransformedWorlds) -> Callable[[], object]:
     action = torch.zeros(env.base_env.state.moved.shape, dtype=torch.int64)
-    return lambda: env.base_env.play(action, env.readers)
+    return lambda: env.base_env.play(action)
 
 
 def check(env: TransformedWorlds, call: Callable[[], object]) -> None:
