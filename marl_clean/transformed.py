@@ -35,20 +35,14 @@ class TransformedWorlds(TransformedEnv):
         self, tensordict: TensorDictBase
     ) -> tuple[TensorDictBase, TensorDictBase]:
         worlds, transforms = self.base_env, self.transforms
-        usual = tensordict.device == worlds.device and "_step" not in tensordict
-        if not usual or not all(isinstance(one, KNOWN) for one in transforms):
+        usual = tensordict.device == worlds.device and tensordict.batch_size == worlds.batch_size
+        known = all(isinstance(one, KNOWN) for one in transforms)
+        if not usual or not known or "_step" in tensordict:
             return super().step_and_maybe_reset(tensordict)
-        self._assert_tensordict_shape(tensordict)
-        along = Along(
-            readers=readers_of(transforms),
-            pay=next((one.pay for one in transforms if isinstance(one, RewardSplit)), None),
-            adjacency=tensordict.get(keys.ADJACENCY, None),
-        )
-        after, settled = worlds.play(tensordict.get(keys.ACTION), along)
-        for key, value in settled.readings.items():
-            after.set(key, value)
-        if settled.reward is not None:
-            after.set(keys.REWARD, settled.reward)
+        adjacency = tensordict.get(keys.ADJACENCY, None)
+        pay = next((one.pay for one in transforms if isinstance(one, RewardSplit)), None)
+        along = Along(readers_of(transforms), pay, adjacency)
+        after = worlds.play(tensordict.get(keys.ACTION), along)
         carried_over = tensordict.get("next", None)  # what a policy remembers
         if carried_over is not None:
             after.update(carried_over.exclude(*after.keys(True, True)))
@@ -56,7 +50,7 @@ class TransformedWorlds(TransformedEnv):
             if isinstance(one, WorldTransform):
                 done_along = one.reader() is not None
             else:
-                done_along = isinstance(one, RewardSplit) and settled.reward is not None
+                done_along = isinstance(one, RewardSplit) and adjacency is not None
             if not done_along:
                 after = one._step(tensordict, after)
         tensordict.set("next", after)

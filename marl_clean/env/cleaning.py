@@ -228,12 +228,12 @@ class CleaningEnv(Compiling):
         return fresh, readings
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        return self.play(tensordict.get(keys.ACTION))[0]
+        return self.play(tensordict.get(keys.ACTION))
 
     def play(
         self, action: Int[Tensor, "env agent"], along: turn.Along = turn.NOTHING
-    ) -> tuple[TensorDict, turn.Settled]:
-        """Play a step; return its frame, and how the worlds stand, with what came `along`."""
+    ) -> TensorDict:
+        """Play a step and return its frame, with what is computed `along`."""
         state, rules = self.state, self.rules
         unnoticed = None
         if rules.bump_noise:
@@ -247,7 +247,7 @@ class CleaningEnv(Compiling):
             settled = self.compiled(turn.settle_)(state, outcome, rules, self.contact, along)
         else:
             outcome, settled = self.compiled(turn.step_)(*moved, self.contact, along)
-        return next_frame(state, outcome, settled), settled
+        return next_frame(state, outcome, settled)
 
     def _set_seed(self, seed: int | None) -> None:
         """Fix everything that the env draws; the next reset starts episode 0 of this seed."""

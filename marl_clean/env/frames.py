@@ -19,10 +19,16 @@ def first_frame(state: State) -> TensorDict:
 
 
 def next_frame(state: State, outcome: Outcome, settled: Settled) -> TensorDict:
-    """Return the frame after a step: places, what each robot earned and why, what ended."""
+    """Return the frame after a step: places, what each robot earned and why, what ended.
+
+    And what was computed along the way, all of it of the robots.
+    """
     terms = (outcome.step_term, outcome.cleaning_term, outcome.discovery_term)
     info = _of_robots(state, dict(zip(REWARD_TERMS, terms, strict=True)))
     robots = {"position": state.position, "own_reward": outcome.own_reward, "info": info}
+    robots |= {name: value for (_, name), value in settled.readings.items()}
+    if settled.reward is not None:
+        robots["reward"] = settled.reward
     return _of_worlds(state, robots, {key: getattr(settled, key) for key in keys.ENDINGS})
 
 

@@ -5,7 +5,7 @@ worlds. What is observed along with it comes as readers. In one function a matri
 compiled code that writes it twice copies it for the second time.
 """
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from jaxtyping import Bool, Float, Int
@@ -24,7 +24,8 @@ Pay = Callable[
     [Float[Tensor, "env agent 1"], Bool[Tensor, "env agent agent"]], Float[Tensor, "env agent 1"]
 ]
 """What each robot is paid, from what each earned and who was in contact before the step."""
-Readings = dict[Hashable, Tensor]
+Readings = dict[tuple[str, str], Tensor]
+"""Entries of `agents` by their keys."""
 Reader = Callable[[State, Rules], Readings]
 """A pure function of the worlds with short loops; see `Compiling.compiled`."""
 
