@@ -32,7 +32,7 @@ from marl_clean.stored import RUNS
 from marl_clean.world.sensing import crop
 from marl_clean.world.turn import play_
 
-REPEATS = 11
+REPEATS = 15
 STEPS = 200
 ACTION_SETS = 32  # drawn before the clock starts, played round and round
 
@@ -139,29 +139,26 @@ def against_jumanji(cfg: DictConfig) -> list[Row]:
 
 def over_house_sizes(cfg: DictConfig) -> list[Row]:
     """Time the whole env in small and in large houses: the cost must follow the view."""
-    num_envs, n_agents = 256, 3
-    small, large = in_turns([env_play(env_of(cfg, num_envs, n_agents, side)) for side in (20, 200)])
-    rows = []
-    for side, taken in ((20, small), (200, large)):
-        seconds = statistics.median(taken)
-        what = f"whole env, {num_envs} worlds, {side}x{side}"
-        rows.append(Row(what, num_envs * n_agents / seconds, seconds * 1e3))
-    rows[1] = replace(rows[1], ratio=median_ratio(large, small), wanted="<= 2.00 of 20x20")
-    return rows
+    cases = {f"256 worlds, {side}x{side}": (256, 3, side) for side in (20, 200)}
+    (small, large), ratio = whole_envs(cfg, cases)
+    return [small, replace(large, ratio=ratio, wanted="<= 2.00 of 20x20")]
 
 
 def over_robots(cfg: DictConfig) -> list[Row]:
     """Time the whole env with few and with many robots: the cost must follow their number."""
-    num_envs, side = 1024, 20
-    few, many = in_turns([env_play(env_of(cfg, num_envs, n_agents, side)) for n_agents in (2, 16)])
+    cases = {f"1024 worlds, {robots} robots": (1024, robots, 20) for robots in (2, 16)}
+    (few, many), ratio = whole_envs(cfg, cases)
+    return [few, replace(many, ratio=ratio * 2 / 16, wanted="<= 1.30 a robot")]
+
+
+def whole_envs(cfg: DictConfig, cases: dict[str, tuple[int, int, int]]) -> tuple[list[Row], float]:
+    """Time envs of (worlds, robots, side), and return how much more a step of the last costs."""
+    taken = in_turns([env_play(env_of(cfg, *sizes)) for sizes in cases.values()])
     rows = []
-    for n_agents, taken in ((2, few), (16, many)):
-        seconds = statistics.median(taken)
-        what = f"whole env, {num_envs} worlds, {n_agents} robots"
-        rows.append(Row(what, num_envs * n_agents / seconds, seconds * 1e3))
-    ratio = median_ratio(many, few) * 2 / 16
-    rows[1] = replace(rows[1], ratio=ratio, wanted="<= 1.30 a robot")
-    return rows
+    for (case, (num_envs, n_agents, _)), times in zip(cases.items(), taken, strict=True):
+        seconds = statistics.median(times)
+        rows.append(Row(f"whole env, {case}", num_envs * n_agents / seconds, seconds * 1e3))
+    return rows, median_ratio(taken[-1], taken[0])
 
 
 def env_of(cfg: DictConfig, num_envs: int, n_agents: int, side: int) -> TransformedEnv:

@@ -38,6 +38,8 @@ class Compiling(Played):
             return function
         if function not in self._compiled:
             scalar = {} if wide or self.device.type != "cpu" else {"cpp.simdlen": 1}
-            kwargs = {"options": {**IN_PLACE, **scalar}, **self._compile_kwargs}
-            self._compiled[function] = torch.compile(function, **kwargs)
+            # Isolated, or the envs of a process share the eight compilations a function may have.
+            kwargs: dict[str, Any] = {"options": {**IN_PLACE, **scalar}, "isolate_recompiles": True}
+            compiled = torch.compile(function, **{**kwargs, **self._compile_kwargs})
+            self._compiled[function] = compiled
         return self._compiled[function]

@@ -5,6 +5,7 @@ import torch
 
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses
+from marl_clean.settings import LARGEST_SIDE
 from marl_clean.world.episode import HouseTensors
 from marl_clean.world.state import pad_house
 
@@ -28,9 +29,10 @@ def house_tensors(
     free = pad_house(torch.from_numpy(houses.free), margin, False)
     rows, cols = torch.from_numpy(houses.rows), torch.from_numpy(houses.cols)
     flat = free.flatten(1)
-    listed = torch.full((len(free), int(free_counts.max())), -1)
-    house, cell = flat.nonzero(as_tuple=True)
-    listed[house, flat.cumsum(1)[house, cell] - 1] = cell
+    labels = torch.full((len(free), int(free_counts.max())), -1)
+    house, row, col = free.nonzero(as_tuple=True)
+    place = flat.cumsum(1)[house, row * free.shape[2] + col] - 1
+    labels[house, place] = (row - margin) * LARGEST_SIDE + col - margin
     limit = 4 * rows * cols // n_agents + 50
     return HouseTensors(
         blocked=~free.to(device),
@@ -38,7 +40,7 @@ def house_tensors(
         num_pieces=torch.from_numpy(houses.furniture.max((1, 2)).astype(np.int64)).to(device),
         rows=rows.to(device),
         cols=cols.to(device),
-        free_cells=listed.to(device),
+        free_labels=labels.to(device),
         num_free=flat.sum(1).to(device),
         max_steps=(limit if max_steps is None else torch.full_like(limit, max_steps)).to(device),
         starts=_given_starts(houses, n_agents).to(device),

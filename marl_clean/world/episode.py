@@ -23,7 +23,7 @@ class HouseTensors(NamedTuple):
     num_pieces: Int[Tensor, " house"]
     rows: Int[Tensor, " house"]
     cols: Int[Tensor, " house"]
-    free_cells: Int[Tensor, "house most"]  # indices into a matrix, padded with -1
+    free_labels: Int[Tensor, "house most"]  # row * LARGEST_SIDE + col of free cells, -1 beyond
     num_free: Int[Tensor, " house"]
     max_steps: Int[Tensor, " house"]
     starts: Int[Tensor, "house agent 2"]  # (row, col) given by the plan, -1 where drawn
@@ -124,17 +124,19 @@ def draw_starts(
     The n free cells with the highest random words. A word is drawn for the cell's place in the
     house and ends with it: padding has no part in it, and no two are equal.
     """
-    width = blocked.shape[2]
     n_agents = houses.starts.shape[1]
     given = houses.starts[house]
     is_given = (given >= 0).all(-1)
-    cells = houses.free_cells[house]
     if rules.knowledge is Knowledge.STALE:  # furniture has moved: the house's own list is stale too
-        cells = torch.arange(blocked[0].numel(), device=house.device).expand(len(house), -1)
-    place = torch.stack([cells // width, cells % width], -1) - rules.margin
-    usable = (cells >= 0) & ~blocked.flatten(1).gather(1, cells.clamp(min=0))
-    usable = usable & ~(place[:, :, None] == given[:, None, :]).all(-1).any(-1)
-    label = torch.where(usable, place[..., 0] * LARGEST_SIDE + place[..., 1], 0)
+        cells = torch.arange(blocked[0].numel(), device=house.device)
+        width = blocked.shape[2]
+        row, col = cells // width - rules.margin, cells % width - rules.margin
+        label = torch.where(blocked.flatten(1), -1, row * LARGEST_SIDE + col)
+    else:
+        label = houses.free_labels[house]
+    taken = torch.where(is_given, given[..., 0] * LARGEST_SIDE + given[..., 1], -1)
+    usable = (label >= 0) & (label[:, :, None] != taken[:, None, :]).all(-1)
+    label = torch.where(usable, label, 0)
     word = random_bits(seed, env_index[:, None], episode[:, None], Purpose.START, label)
     key = torch.where(usable, word * LARGEST_SIDE**2 + label, -1)
     best = key.topk(n_agents, dim=1).values % LARGEST_SIDE**2
