@@ -29,8 +29,8 @@ from marl_clean.compose import compose_config
 from marl_clean.evaluation.table import output
 from marl_clean.jumanji_cleaner import cleaner
 from marl_clean.stored import RUNS
+from marl_clean.world.dynamics import advance_
 from marl_clean.world.sensing import crop
-from marl_clean.world.turn import play_
 
 REPEATS = 15
 STEPS = 200
@@ -183,7 +183,7 @@ def world_play(env: TransformedEnv) -> Play:
     """Return what plays a step and a view by the world's functions alone."""
     env.reset()
     base, drawn = env.base_env, actions(env)
-    step, look = base.compiled(play_), base.compiled(crop, wide=True)
+    step, look = base.compiled(advance_), base.compiled(crop, wide=True)
     view_size = env.transform[1].view_size
 
     def play(count: int) -> None:

@@ -4,13 +4,7 @@ from jaxtyping import Bool, Int
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.envs import (
-    Compose,
-    InitTracker,
-    RewardSum,
-    TensorDictPrimer,
-    TransformedEnv,
-)
+from torchrl.envs import Compose, InitTracker, RewardSum, TensorDictPrimer, TransformedEnv
 
 from marl_clean import keys
 from marl_clean.channel_seed import ChannelSeed
@@ -40,8 +34,8 @@ class TransformedWorlds(TransformedEnv):
         if not usual or not known or "_step" in tensordict:
             return super().step_and_maybe_reset(tensordict)
         adjacency = tensordict.get(keys.ADJACENCY, None)
-        pay = next((one.pay for one in transforms if isinstance(one, RewardSplit)), None)
-        along = Along(readers_of(transforms), pay, adjacency)
+        pays = [one.pay for one in transforms if isinstance(one, RewardSplit)]
+        along = Along(readers_of(transforms), pays[-1] if pays else None, adjacency)
         after = worlds.play(tensordict.get(keys.ACTION), along)
         carried_over = tensordict.get("next", None)  # what a policy remembers
         if carried_over is not None:

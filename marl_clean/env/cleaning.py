@@ -33,7 +33,7 @@ from marl_clean.settings import (
 )
 from marl_clean.viewer import draw
 from marl_clean.world import turn
-from marl_clean.world.dynamics import MOVES
+from marl_clean.world.dynamics import MOVES, advance_
 from marl_clean.world.episode import FurnitureMoves, begin
 from marl_clean.world.furniture import move_furniture_
 from marl_clean.world.noise import unnoticed_bumps
@@ -241,7 +241,7 @@ class CleaningEnv(Compiling):
             unnoticed = draw(state, self.env_index, self.seed_word, rules.bump_noise)
         moved = (state, action, self.moves, rules, unnoticed)
         if self.furniture.during_episode or rules.sensor is Sensor.TOUCH4:
-            outcome = self.compiled(turn.play_)(*moved)
+            outcome = self.compiled(advance_)(*moved)
             if self.furniture.during_episode:
                 move_furniture_(state, rules.margin)
             settled = self.compiled(turn.settle_)(state, outcome, rules, self.contact, along)

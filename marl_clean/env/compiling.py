@@ -7,7 +7,7 @@ import torch
 
 from marl_clean.env.base import Played
 
-IN_PLACE = {
+OPTIONS = {
     "reorder_for_locality": False,  # reads put after writes would keep a copy of the map for them
     "size_asserts": False,  # of every tensor at every call; their shapes are guarded already
 }
@@ -32,14 +32,14 @@ class Compiling(Played):
         """Return the function compiled, once, where the env is; else as it is.
 
         `wide` says that its innermost loops are long, as those over a view are. Loops over the
-        robots of a world are short: vectorised on a CPU, `advance` took six times as long.
+        robots of a world are short: vectorised on a CPU, `advance_` took six times as long.
         """
         if self._compiled is None:
             return function
         if function not in self._compiled:
             scalar = {} if wide or self.device.type != "cpu" else {"cpp.simdlen": 1}
             # Isolated, or the envs of a process share the eight compilations a function may have.
-            kwargs: dict[str, Any] = {"options": {**IN_PLACE, **scalar}, "isolate_recompiles": True}
+            kwargs: dict[str, Any] = {"options": {**OPTIONS, **scalar}, "isolate_recompiles": True}
             compiled = torch.compile(function, **{**kwargs, **self._compile_kwargs})
             self._compiled[function] = compiled
         return self._compiled[function]

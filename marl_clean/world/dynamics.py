@@ -1,7 +1,7 @@
 """Who moves where, and what a step does to the map (paper §3.2).
 
-`advance` is pure: it reads the state and says what happens; `commit_` writes it. Matrices are
-written by `index_put_`, which compiled code does in place too; `scatter_` would copy them.
+Matrices are written by `index_put_`, which compiled code does in place too; `scatter_` would copy
+them.
 """
 
 from typing import NamedTuple
@@ -20,7 +20,7 @@ MOVES = ((-1, 0), (0, 1), (1, 0), (0, -1))
 
 
 class Outcome(NamedTuple):
-    """What one step brings, before anything is written."""
+    """What one step brings."""
 
     position: Int[Tensor, "env agent 2"]
     moved: Bool[Tensor, "env agent"]
@@ -44,14 +44,14 @@ def moves_on(device: torch.device) -> Int[Tensor, "4 2"]:
     return torch.tensor(MOVES, device=device)
 
 
-def advance(
+def advance_(
     state: State,
     action: Int[Tensor, "env agent"],
     moves: Int[Tensor, "4 2"],
     rules: Rules,
     unnoticed: Bool[Tensor, "env agent"] | None = None,
 ) -> Outcome:
-    """Move all robots at once and value what they do against the map before the step.
+    """Move all robots at once, in place, and value what they do against the map before the step.
 
     A robot moves when its target is free, nobody stood there when the step began, and no
     lower-numbered robot enters it in this step. Of several robots with one free, empty target
@@ -85,7 +85,7 @@ def advance(
     bump_or_own = torch.where(noticed, target_cell, cell)
     base = map_base(state)
     envs = torch.arange(num_envs, device=action.device)[:, None]
-    return Outcome(
+    outcome = Outcome(
         position=position,
         moved=moved,
         bumped=bumped,
@@ -102,6 +102,8 @@ def advance(
         record_index=torch.cat([base + cell, base + bump_or_own], -1),
         record_value=torch.cat([written, torch.where(noticed, -written, written)], -1),
     )
+    _commit_(state, outcome)
+    return outcome
 
 
 def held_records(state: State, cell: Int[Tensor, "env agent"]) -> Float[Tensor, "env agent"]:
@@ -117,8 +119,7 @@ def map_base(state: State) -> Int[Tensor, "env map_or_1"]:
     return maps.view(num_envs, num_maps) * (height * width)
 
 
-def commit_(state: State, outcome: Outcome) -> None:
-    """Write an outcome into the state, in place."""
+def _commit_(state: State, outcome: Outcome) -> None:
     for name in ("position", "moved", "bumped", "collided", "newly_cleaned"):
         setattr(state, name, getattr(outcome, name))
     for name in ("step", "last_progress", "num_visited"):

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from marl_clean.settings import HouseOrder, Memory, Sensor
-from marl_clean.world.dynamics import Outcome, advance, commit_, episode_ends, touch_
+from marl_clean.world.dynamics import Outcome, advance_, episode_ends, touch_
 from marl_clean.world.episode import FurnitureMoves, HouseTensors, begin
 from marl_clean.world.random import Seed
 from marl_clean.world.rules import Rules
@@ -61,21 +61,8 @@ def step_(
     along: Along,
 ) -> tuple[Outcome, Settled]:
     """Play one step in place, one in which only the robots' own cells and bumps are written."""
-    outcome = play_(state, action, moves, rules, unnoticed)
+    outcome = advance_(state, action, moves, rules, unnoticed)
     return outcome, settle_(state, outcome, rules, contact, along)
-
-
-def play_(
-    state: State,
-    action: Int[Tensor, "env agent"],
-    moves: Int[Tensor, "4 2"],
-    rules: Rules,
-    unnoticed: Bool[Tensor, "env agent"] | None = None,
-) -> Outcome:
-    """Move all robots, in place."""
-    outcome = advance(state, action, moves, rules, unnoticed)
-    commit_(state, outcome)
-    return outcome
 
 
 def settle_(

@@ -18,9 +18,8 @@ from marl_clean.agent.iql import Iql
 from marl_clean.compose import compose_config
 from marl_clean.schema import instantiate
 from marl_clean.trainer.off_policy import OffPolicy
-from marl_clean.world.dynamics import episode_ends
+from marl_clean.world.dynamics import advance_, episode_ends
 from marl_clean.world.sensing import crop, distance_rank, in_view
-from marl_clean.world.turn import play_
 
 FRAMES = 16_384
 PAIRS = 5
@@ -61,7 +60,7 @@ class Bare:
         action = self.network(*now)[0].argmax(-1)
         random = torch.rand(action.shape) < epsilon
         action = torch.where(random, torch.randint(4, action.shape), action)
-        outcome = play_(env.state, action, env.moves, env.rules)
+        outcome = advance_(env.state, action, env.moves, env.rules)
         terminated, truncated = episode_ends(env.state, env.rules.stuck_after)
         own = outcome.own_reward
         reward = (own + now[1].float() @ own).squeeze(-1)

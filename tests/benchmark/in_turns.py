@@ -1,6 +1,7 @@
 """Two checkouts of this project, their whole env timed in turns: which is faster, and by how much.
 
 A busy machine swings by more within a minute than most changes gain; in slices both swing alike.
+And a process may by itself be 8 % faster than its equal, so both are started several times.
 `python -m tests.benchmark.in_turns BEFORE AFTER` with two folders, such as that of
 `git worktree add BEFORE 96de350` and `.`. A folder against itself tells what is noise.
 """
@@ -11,8 +12,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-PAIRS = 40
+STARTS = 4
+PAIRS = 12
 WARM_UP, STEPS = 10, 150
+# Written out, and not `benchmark`'s own, since that of an older checkout may be another.
 WORKER = f"""
 import sys, time
 import torch
@@ -59,7 +62,8 @@ def slice_seconds(process: subprocess.Popen[str]) -> float:
     return float(process.stdout.readline())
 
 
-def main(before: str, after: str) -> None:
+def ratio(before: str, after: str) -> float:
+    """Return the median ratio of slices played in turns by two new processes."""
     workers = [worker(before), worker(after)]
     for process in workers:
         slice_seconds(process)
@@ -67,12 +71,15 @@ def main(before: str, after: str) -> None:
     for pair in range(PAIRS):
         order = (0, 1) if pair % 2 else (1, 0)
         seconds = {which: slice_seconds(workers[which]) for which in order}
-        taken.append((seconds[0], seconds[1]))
+        taken.append(seconds[1] / seconds[0])
     for process in workers:
         process.communicate()
-    old, new = (statistics.median(column) * 1e3 for column in zip(*taken, strict=True))
-    ratio = statistics.median(late / early for early, late in taken)
-    sys.stdout.write(f"before {old:.3f} ms a step, after {new:.3f}, ratio {ratio:.3f}\n")
+    return statistics.median(taken)
+
+
+def main(before: str, after: str) -> None:
+    ratios = sorted(ratio(before, after) for _ in range(STARTS))
+    sys.stdout.write(f"after / before: {', '.join(f'{one:.2f}' for one in ratios)}\n")
 
 
 if __name__ == "__main__":
