@@ -60,7 +60,9 @@ def settings_of(preset: str, request: pytest.FixtureRequest) -> list[str]:
     if plays_houses(compose_config([f"experiment={preset}"])):
         settings.append("env.max_steps=20")
     if wants_a_run(preset):
-        settings += [f"checkpoint={request.getfixturevalue('trained')}", "house.path=apartment"]
+        settings.append(f"checkpoint={request.getfixturevalue('trained')}")
+    if "path" in compose_config([f"experiment={preset}"]).house:
+        settings.append("house.path=apartment")
     return settings
 
 
