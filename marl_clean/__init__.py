@@ -23,7 +23,7 @@ def make_env(overrides: list[str] | None = None) -> "EnvBase":
     Raises BadInput on a wrong setting.
     """
     from marl_clean.build import make_env as from_config
-    from marl_clean.compose import compose_config
+    from marl_clean.config.compose import compose_config
 
     return from_config(compose_config(overrides or []))
 
@@ -34,6 +34,6 @@ def load_policy(run: str | Path) -> "TensorDictModule":
     Raises BadInput when there is no such run or its files do not fit.
     """
     from marl_clean.build import load_policy as from_folder
-    from marl_clean.stored import find_run
+    from marl_clean.config.stored import find_run
 
     return from_folder(find_run(str(run)))

@@ -9,23 +9,23 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import Compose, InitTracker, RewardSum, Transform, TransformedEnv
 
 from marl_clean import keys
-from marl_clean.agent.base import Agent
 from marl_clean.channel.base import Channel, Dims
-from marl_clean.channel_seed import ChannelSeed
-from marl_clean.checkpoint import fit_weights, load_weights
 from marl_clean.comm.base import Comm
-from marl_clean.compose import checked, plays_houses
+from marl_clean.config.compose import checked, plays_houses
+from marl_clean.config.fitting import check_fit
+from marl_clean.config.schema import constant, instantiate, takes
+from marl_clean.config.stored import find_run, load_config
+from marl_clean.env.channel_seed import ChannelSeed
 from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.env.global_state import GlobalState
+from marl_clean.env.transformed import TransformedWorlds
 from marl_clean.errors import BadInput
-from marl_clean.fitting import check_fit
-from marl_clean.global_state import GlobalState
 from marl_clean.house.base import Houses, draw_bank, draw_houses, smallest_first, split_seeds
-from marl_clean.manifest import weights_sha256
+from marl_clean.learning.agent import Agent
 from marl_clean.planner.base import Planner
-from marl_clean.schema import constant, instantiate, takes
 from marl_clean.settings import HouseOrder
-from marl_clean.stored import find_run, load_config
-from marl_clean.transformed import TransformedWorlds
+from marl_clean.storage.checkpoint import fit_weights, load_weights
+from marl_clean.storage.manifest import weights_sha256
 
 
 def training_houses(cfg: DictConfig) -> Houses:

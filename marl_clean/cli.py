@@ -26,13 +26,13 @@ BAD_INPUT, INTERRUPTED, TERMINATED = 2, 128 + signal.SIGINT, 128 + signal.SIGTER
 def train(arguments: argparse.Namespace) -> int:
     """train a policy and evaluate it on held-out houses; the same command again resumes"""
     if arguments.multirun:
-        from marl_clean import sweep
+        from marl_clean.commands import sweep
 
         sweep.run(arguments.settings)
         return 0
-    from marl_clean.checks import check_old_houses, check_plans, check_teams
-    from marl_clean.fitting import check_fit
-    from marl_clean.stored import RUNS, check_same_run, compose_for_training
+    from marl_clean.commands.checks import check_old_houses, check_plans, check_teams
+    from marl_clean.config.fitting import check_fit
+    from marl_clean.config.stored import RUNS, check_same_run, compose_for_training
 
     config = _checked(compose_for_training(arguments.settings))
     check_fit(config)
@@ -40,7 +40,7 @@ def train(arguments: argparse.Namespace) -> int:
     check_teams(config)
     check_old_houses(config)
     check_same_run(config, RUNS / config.name)
-    from marl_clean import train as command
+    from marl_clean.commands import train as command
 
     command.main(config, RUNS / config.name)
     return 0
@@ -48,9 +48,9 @@ def train(arguments: argparse.Namespace) -> int:
 
 def evaluate(arguments: argparse.Namespace) -> int:
     """measure checkpoint=RUN or planner=NAME on held-out houses or on a plan; intervention=all"""
-    from marl_clean.checks import check_out
-    from marl_clean.config_hash import config_hash
-    from marl_clean.stored import RUNS, compose_for_policy
+    from marl_clean.commands.checks import check_out
+    from marl_clean.config.config_hash import config_hash
+    from marl_clean.config.stored import RUNS, compose_for_policy
 
     asked = [text.partition("=")[2] for text in arguments.settings if text.startswith(INTERVENE)]
     settings = [text for text in arguments.settings if not text.startswith(INTERVENE)]
@@ -62,7 +62,7 @@ def evaluate(arguments: argparse.Namespace) -> int:
         name = f"{name}-{config_hash(config)[:8]}"
     out = Path(config.out or RUNS / "evaluate" / name / "evaluation.json")
     check_out(out)
-    from marl_clean import evaluate as command
+    from marl_clean.commands import evaluate as command
     from marl_clean.evaluation.interventions import named
 
     command.main(config, out, interventions=named(asked[-1]) if asked else ())
@@ -71,10 +71,10 @@ def evaluate(arguments: argparse.Namespace) -> int:
 
 def watch(arguments: argparse.Namespace) -> int:
     """play one house in the terminal with checkpoint=RUN or planner=NAME"""
-    from marl_clean.stored import compose_for_policy
+    from marl_clean.config.stored import compose_for_policy
 
     config = _in_houses(compose_for_policy(arguments.settings))
-    from marl_clean import watch as command
+    from marl_clean.commands import watch as command
 
     command.main(config)
     return 0
@@ -82,9 +82,9 @@ def watch(arguments: argparse.Namespace) -> int:
 
 def figure(arguments: argparse.Namespace) -> int:
     """draw a figure, such as paper_1, into runs/figures; comparisons train what they need"""
-    from marl_clean import comparison
-    from marl_clean.comparison import COMPARISONS
-    from marl_clean.stored import compose_for_policy
+    from marl_clean.commands import comparison
+    from marl_clean.commands.comparison import COMPARISONS
+    from marl_clean.config.stored import compose_for_policy
 
     if "=" in arguments.name:
         raise BadInput(f"figure: {arguments.name!r} is a setting; name a figure before it")
@@ -92,7 +92,7 @@ def figure(arguments: argparse.Namespace) -> int:
         comparison.main(arguments.name, arguments.settings)
         return 0
     config = _in_houses(compose_for_policy(arguments.settings))
-    from marl_clean import figure as command
+    from marl_clean.commands import figure as command
 
     command.main(arguments.name, config)
     return 0
@@ -100,7 +100,7 @@ def figure(arguments: argparse.Namespace) -> int:
 
 def compare(arguments: argparse.Namespace) -> int:
     """finished runs in one table, seeds pooled, each against one of them on the same houses"""
-    from marl_clean import compare as command
+    from marl_clean.commands import compare as command
 
     command.main(arguments.runs, arguments.out, against=arguments.against)
     return 0
@@ -108,7 +108,7 @@ def compare(arguments: argparse.Namespace) -> int:
 
 def matrix(arguments: argparse.Namespace) -> int:
     """policies trained over one channel, measured over others: a matrix and its figure"""
-    from marl_clean import matrix as command
+    from marl_clean.commands import matrix as command
 
     command.main(arguments.runs, arguments.channel or (), arguments.houses, arguments.out)
     return 0
@@ -116,14 +116,14 @@ def matrix(arguments: argparse.Namespace) -> int:
 
 def benchmark(arguments: argparse.Namespace) -> int:
     """measure speed, into runs/benchmark.json"""
-    from marl_clean.checks import check_compile, check_square_view
-    from marl_clean.compose import compose_config
+    from marl_clean.commands.checks import check_compile, check_square_view
+    from marl_clean.config.compose import compose_config
 
     config = _in_houses(compose_config(arguments.settings))
     check_square_view(config, "benchmark")
     config.env.compile = True
     check_compile(config)
-    from marl_clean import benchmark as command
+    from marl_clean.commands import benchmark as command
 
     command.main(config)
     return 0
@@ -131,7 +131,7 @@ def benchmark(arguments: argparse.Namespace) -> int:
 
 def list_levels(arguments: argparse.Namespace) -> int:
     """the rooms and their levels, a line each"""
-    from marl_clean.listing import lines
+    from marl_clean.commands.listing import lines
 
     _write(lines())
     return 0
@@ -139,7 +139,7 @@ def list_levels(arguments: argparse.Namespace) -> int:
 
 def doctor(arguments: argparse.Namespace) -> int:
     """what is installed, what is missing, how to mend it"""
-    from marl_clean.doctor import findings
+    from marl_clean.commands.doctor import findings
 
     found = list(findings())
     width = max(len(finding.what) for finding in found)
@@ -209,7 +209,7 @@ def _run(argv: Sequence[str]) -> int:
         _write([__version__])
         return 0
     if name not in COMMANDS:
-        from marl_clean.schema import choices
+        from marl_clean.config.schema import choices
 
         raise BadInput(f"{name}: no such command; {choices(name, COMMANDS)}")
     return COMMANDS[name](_parser(name).parse_intermixed_args(argv[1:]))
@@ -251,7 +251,7 @@ def _usage() -> str:
 
 
 def _checked(config: "DictConfig") -> "DictConfig":
-    from marl_clean.checks import check_compile, check_device, check_house, check_optimum
+    from marl_clean.commands.checks import check_compile, check_device, check_house, check_optimum
 
     check_optimum(config)
     check_house(config)
@@ -261,7 +261,7 @@ def _checked(config: "DictConfig") -> "DictConfig":
 
 
 def _in_houses(config: "DictConfig") -> "DictConfig":
-    from marl_clean.checks import check_shows_houses
+    from marl_clean.commands.checks import check_shows_houses
 
     check_shows_houses(config)
     return _checked(config)

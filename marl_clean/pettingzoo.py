@@ -15,13 +15,13 @@ from jaxtyping import Bool, Float
 from torchrl.envs.utils import step_mdp
 
 from marl_clean import build, keys
-from marl_clean.compose import compose_config
+from marl_clean.config.compose import compose_config
+from marl_clean.config.schema import choices
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.env.scene import scene_of
 from marl_clean.env.specs import REWARD_TERMS
+from marl_clean.env.viewer import draw_text
 from marl_clean.errors import BadInput
-from marl_clean.schema import choices
-from marl_clean.viewer import draw_text
 from marl_clean.world.dynamics import MOVES
 from marl_clean.world.rules import BLOCKED_VALUE, ROBOT_VALUE
 from marl_clean.world.sensing import windows_around

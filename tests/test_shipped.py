@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from marl_clean import load_policy
-from marl_clean.compose import checked
+from marl_clean.config.compose import checked
+from marl_clean.config.stored import load_config
 from marl_clean.evaluation.evaluator import evaluate
 from marl_clean.evaluation.records import means
-from marl_clean.stored import load_config
 
 SHIPPED = Path(__file__).parent.parent / "docs" / "approach_2_frontier"
 

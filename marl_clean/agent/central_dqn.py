@@ -6,13 +6,14 @@ from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torchrl.data import Categorical, Composite
 
-from marl_clean import acting, keys
-from marl_clean.agent.base import Channels
+from marl_clean import keys
 from marl_clean.comm.base import Comm
-from marl_clean.deep_q import DeepQ
 from marl_clean.encoder.base import Encoder
 from marl_clean.errors import BadInput
-from marl_clean.networks import JointQNetwork, decode_joint, encode_joint
+from marl_clean.learning import acting
+from marl_clean.learning.agent import Channels
+from marl_clean.learning.deep_q import DeepQ
+from marl_clean.learning.networks import JointQNetwork, decode_joint, encode_joint
 from marl_clean.settings import Precision
 
 MOST_OUTPUTS = 4**5

@@ -2,13 +2,13 @@
 
 from torchrl.objectives import IPPOLoss
 
-from marl_clean.ppo import Ppo
+from marl_clean.learning.ppo import Ppo
 
 
 class Ippo(Ppo):
     """Every robot learns its policy by PPO, and the value of what it sees itself.
 
-    All else as in `marl_clean.ppo.Ppo`. Source: arXiv 2011.09533; TorchRL's loss.
+    All else as in `marl_clean.learning.ppo.Ppo`. Source: arXiv 2011.09533; TorchRL's loss.
     """
 
     central = False

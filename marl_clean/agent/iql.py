@@ -10,13 +10,14 @@ from torch import Tensor
 from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
 
-from marl_clean import acting, keys
-from marl_clean.acting import Greedy
-from marl_clean.agent.base import Channels
+from marl_clean import keys
 from marl_clean.comm.base import Comm
-from marl_clean.deep_q import DeepQ
 from marl_clean.encoder.base import Encoder
-from marl_clean.networks import QNetwork
+from marl_clean.learning import acting
+from marl_clean.learning.acting import Greedy
+from marl_clean.learning.agent import Channels
+from marl_clean.learning.deep_q import DeepQ
+from marl_clean.learning.networks import QNetwork
 from marl_clean.settings import Precision
 
 DONE, TERMINATED = (keys.AGENTS, keys.DONE), (keys.AGENTS, keys.TERMINATED)

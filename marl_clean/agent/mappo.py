@@ -2,7 +2,7 @@
 
 from torchrl.objectives import MAPPOLoss
 
-from marl_clean.ppo import Ppo
+from marl_clean.learning.ppo import Ppo
 
 
 class Mappo(Ppo):
@@ -10,7 +10,7 @@ class Mappo(Ppo):
 
     The critic joins each robot's features with the mean of all robots', so that it is for any
     number of robots and may differ between them, as their rewards do. All else as in
-    `marl_clean.ppo.Ppo`. Source: arXiv 2103.01955; TorchRL's loss.
+    `marl_clean.learning.ppo.Ppo`. Source: arXiv 2103.01955; TorchRL's loss.
     """
 
     central = True

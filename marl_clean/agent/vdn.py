@@ -12,8 +12,9 @@ from torchrl.modules import VDNMixer
 from torchrl.objectives import LossModule, QMixerLoss
 from torchrl.objectives.utils import distance_loss
 
-from marl_clean import acting, keys
+from marl_clean import keys
 from marl_clean.agent.iql import Iql
+from marl_clean.learning import acting
 
 
 class DoubleQMixerLoss(QMixerLoss):

@@ -1,6 +1,5 @@
 """What becomes of messages between being sent and being heard, whatever the scheme."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from math import tau
@@ -11,7 +10,6 @@ from tensordict.utils import NestedKey
 from torch import Tensor, nn
 from torchrl.data import TensorSpec
 
-from marl_clean.delivery import Delivery
 from marl_clean.world.random import random_bits
 
 Dims = tuple[int, ...]
@@ -132,41 +130,3 @@ class Channel(nn.Module):
     def state_after(self, step: Step) -> Tensor:
         """Return what it carries to the next step."""
         raise NotImplementedError(f"{type(self).__name__} carries nothing")
-
-
-class Crossing(Delivery):
-    """One step through a stack of channels, the first nearest to the sender."""
-
-    def __init__(
-        self,
-        channels: Sequence[Channel],
-        adjacency: Bool[Tensor, "*batch agent other"],
-        distance_rank: Int[Tensor, "*batch agent other"],
-        rounds: int,
-        seed: Int[Tensor, "*batch agent"] | None,
-        states: Sequence[Tensor | None],
-        gated: bool = False,
-    ) -> None:
-        self.channels = channels
-        self.steps = [Step(seed, state, gated=gated) for state in states]
-        self.sent = adjacency
-        for channel in channels:
-            self.sent = channel.address(self.sent, distance_rank, rounds)
-            self.bits_per_number = channel.bits_per_number or self.bits_per_number
-
-    def __call__(
-        self, message: Float[Tensor, "*batch agent message"], turn: int
-    ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
-        edges = self.sent
-        for channel, step in zip(self.channels, self.steps, strict=True):
-            step.passed.append((message, edges))
-            message, edges = channel.carry(message, edges, turn, step)
-        return message, edges
-
-    def states_after(self) -> list[Tensor]:
-        """Return what the channels that carry something carry to the next step, in their order."""
-        return [
-            channel.state_after(step)
-            for channel, step in zip(self.channels, self.steps, strict=True)
-            if channel.remembers is not None
-        ]

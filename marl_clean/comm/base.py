@@ -9,8 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from marl_clean.delivery import Delivery, Direct
-from marl_clean.live_edges import meet_live, weigh_live
+from marl_clean.comm._live_edges import meet_live, weigh_live
 
 Width = int
 """Length of a feature vector; handed over by the network's builder, so never a config key."""
@@ -20,6 +19,36 @@ BITS_PER_FLOAT = 32
 
 class NoisyWhileLearning(nn.Module):
     """A part that draws while it learns (`training`), and is a function of its input when used."""
+
+
+class Delivery(ABC):
+    """One step's way of all messages.
+
+    Attributes:
+        sent: `[*B, n, n]` bool, [i, j]: j sends to i, and pays for it, heard or not.
+        bits_per_number: what a number costs on this way; None: as the scheme makes it.
+    """
+
+    sent: Tensor
+    bits_per_number: int | None = None
+
+    @abstractmethod
+    def __call__(
+        self, message: Float[Tensor, "*batch agent message"], turn: int
+    ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
+        """Send the messages of round `turn`; return those heard now, and [i, j]: i hears j's."""
+
+
+class Direct(Delivery):
+    """Everything arrives at once, as it was sent, over every live edge."""
+
+    def __init__(self, adjacency: Bool[Tensor, "*batch agent other"]) -> None:
+        self.sent = adjacency
+
+    def __call__(
+        self, message: Float[Tensor, "*batch agent message"], turn: int
+    ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
+        return message, self.sent
 
 
 class Talk(NamedTuple):

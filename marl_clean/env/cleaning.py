@@ -16,6 +16,7 @@ from marl_clean.env.frames import first_frame, next_frame
 from marl_clean.env.houses import house_tensors
 from marl_clean.env.scene import scene_of
 from marl_clean.env.specs import make_specs
+from marl_clean.env.viewer import draw
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses
 from marl_clean.settings import (
@@ -31,7 +32,6 @@ from marl_clean.settings import (
     Sensor,
     Worlds,
 )
-from marl_clean.viewer import draw
 from marl_clean.world import turn
 from marl_clean.world.dynamics import MOVES, advance_
 from marl_clean.world.episode import FurnitureMoves, begin

@@ -14,9 +14,9 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs.libs.pettingzoo import PettingZooWrapper
 
 from marl_clean import keys
+from marl_clean.config.schema import mismatch
 from marl_clean.env.base import Played
 from marl_clean.errors import BadInput
-from marl_clean.schema import mismatch
 from marl_clean.settings import Form, Options, Task, Worlds
 from marl_clean.world.random import Purpose, random_bits
 

@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from marl_clean.viewer import Scene
+from marl_clean.env.viewer import Scene
 from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import map_value, union_of_maps
 from marl_clean.world.state import State

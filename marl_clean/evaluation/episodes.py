@@ -14,7 +14,7 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from marl_clean import build, keys
-from marl_clean.config_hash import config_hash
+from marl_clean.config.config_hash import config_hash
 from marl_clean.evaluation.records import Entry, make_entry
 from marl_clean.world.random import Purpose, random_below, random_bits
 

@@ -16,8 +16,9 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from marl_clean import build
-from marl_clean.compose import compose_config, plays_houses
-from marl_clean.config_hash import config_hash
+from marl_clean.config.compose import compose_config, plays_houses
+from marl_clean.config.config_hash import config_hash
+from marl_clean.config.schema import instantiate
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.episodes import RANDOM, measure_return
@@ -26,7 +27,6 @@ from marl_clean.evaluation.records import Entry, make_entry, means
 from marl_clean.house.base import Houses
 from marl_clean.keys import ACTION, MESSAGE_BITS, MESSAGE_EDGES
 from marl_clean.planner.base import Planner
-from marl_clean.schema import instantiate
 from marl_clean.settings import HouseOrder
 from marl_clean.world.random import Purpose, random_below, random_bits, words_of_robots
 

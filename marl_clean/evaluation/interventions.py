@@ -13,11 +13,11 @@ from torch import Tensor, nn
 from torchrl.data import TensorSpec, Unbounded
 
 from marl_clean import keys
-from marl_clean.acting import Greedy
 from marl_clean.channel.base import Channel, Dims, Salt, Step
 from marl_clean.channel.delayed import Later
+from marl_clean.config.schema import choices
 from marl_clean.errors import BadInput
-from marl_clean.schema import choices
+from marl_clean.learning.acting import Greedy
 
 Message = Float[Tensor, "*batch agent message"]
 Edges = Bool[Tensor, "*batch agent other"]

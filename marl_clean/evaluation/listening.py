@@ -17,10 +17,10 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from marl_clean import build, keys
-from marl_clean.acting import Greedy
 from marl_clean.evaluation.evaluator import held_out_env, with_random_actions
 from marl_clean.evaluation.interventions import Shuffle, Zero, intervened
 from marl_clean.evaluation.statistics import estimate
+from marl_clean.learning.acting import Greedy
 
 TEMPERATURE = 1.0  # of the policies that values are turned into, in units of reward
 MESSAGES = 8  # other messages, by which the influence of messages is estimated

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter, ValidationError
 
-from marl_clean import files
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.statistics import as_sample, estimate, iqm
+from marl_clean.storage import files
 
 SCHEMA = 1
 MEASURED = "evaluation.json"

@@ -8,8 +8,8 @@ import numpy as np
 from scipy import ndimage
 
 from marl_clean.errors import BadInput
+from marl_clean.house._plan_files import find_plan, read_lines
 from marl_clean.house.base import House, Plan
-from marl_clean.plan_files import find_plan, read_lines
 from marl_clean.settings import LARGEST_SIDE
 
 SHIPPED = Path(__file__).parent / "plans"

@@ -8,9 +8,9 @@ from typing import ClassVar, final
 import numpy as np
 
 from marl_clean.errors import BadInput
-from marl_clean.floorplan_readers import read_image, read_map_server, read_movingai
+from marl_clean.house._floorplan_readers import read_image, read_map_server, read_movingai
+from marl_clean.house._plan_files import find_plan
 from marl_clean.house.base import House, Plan
-from marl_clean.plan_files import find_plan
 from marl_clean.settings import PositiveFloat
 
 SHIPPED = Path(__file__).parent / "plans"

@@ -5,8 +5,8 @@ import io
 from collections.abc import Mapping
 from pathlib import Path
 
-from marl_clean import files
 from marl_clean.logger.base import CLOCK, Logger
+from marl_clean.storage import files
 
 FRAMES = "frames"
 

@@ -9,8 +9,8 @@ from torchrl.data import Bounded, TensorSpec
 
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.env.transform import WorldTransform
 from marl_clean.settings import Form
-from marl_clean.transform import WorldTransform
 from marl_clean.world.rules import BLOCKED_VALUE, ROBOT_VALUE
 
 

@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from marl_clean.viewer import INK, PAGE, Colour, Place, robot_colour
+from marl_clean.env.viewer import INK, PAGE, Colour, Place, robot_colour
 
 STYLE: Any = {  # Matplotlib types its keys by a list of all of them
     "font.size": 9,

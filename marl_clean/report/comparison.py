@@ -7,11 +7,11 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from marl_clean.env.viewer import INK, ROBOTS
 from marl_clean.evaluation.paired import LEVEL
 from marl_clean.evaluation.records import Entry
 from marl_clean.evaluation.table import YARDSTICK
 from marl_clean.report.axes import STYLE, new_figure, unit
-from marl_clean.viewer import INK, ROBOTS
 
 TIMES = ("T_90", "T_100")
 

@@ -15,10 +15,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
-from marl_clean import files
+from marl_clean.env.viewer import INK, ROBOTS
 from marl_clean.errors import BadInput
 from marl_clean.report.axes import STYLE, new_figure, unit
-from marl_clean.viewer import INK, ROBOTS
+from marl_clean.storage import files
 
 FRAMES = "frames"
 FIRST = ("finished", "T_90", "T_100", "coverage", "return", "redundancy", "loss", "epsilon")

@@ -9,11 +9,11 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from marl_clean import build
+from marl_clean.config.stored import find_run
 from marl_clean.env.scene import scene_of
+from marl_clean.env.viewer import Scene
 from marl_clean.evaluation.evaluator import PolicyFor, held_out_env, with_random_actions
 from marl_clean.keys import ACTION, ADJACENCY, DONE
-from marl_clean.stored import find_run
-from marl_clean.viewer import Scene
 
 
 def policy_of(cfg: DictConfig) -> PolicyFor:

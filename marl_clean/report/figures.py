@@ -13,14 +13,9 @@ from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
 from marl_clean import build
+from marl_clean.config.stored import find_run
 from marl_clean.env.scene import scene_of
-from marl_clean.house.base import Houses
-from marl_clean.keys import OBSERVATION
-from marl_clean.report.axes import STYLE, draw_cells, draw_robots, new_figure, unit
-from marl_clean.report.episode import first_held_out, frames, policy_of
-from marl_clean.report.network import Layer, draw_single, draw_together, watch_layers
-from marl_clean.stored import find_run
-from marl_clean.viewer import (
+from marl_clean.env.viewer import (
     BLOCKED,
     DIRTY,
     FURNITURE,
@@ -31,6 +26,11 @@ from marl_clean.viewer import (
     Scene,
     robot_colour,
 )
+from marl_clean.house.base import Houses
+from marl_clean.keys import OBSERVATION
+from marl_clean.report.axes import STYLE, draw_cells, draw_robots, new_figure, unit
+from marl_clean.report.episode import first_held_out, frames, policy_of
+from marl_clean.report.network import Layer, draw_single, draw_together, watch_layers
 from marl_clean.world.rules import UNKNOWN_VALUE
 
 SHEET_ROWS, SHEET_COLS = 4, 8

@@ -16,10 +16,10 @@ from matplotlib.patches import FancyArrowPatch, Rectangle
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
+from marl_clean.env.viewer import INK, ROBOTS, robot_colour
 from marl_clean.keys import ACTION_VALUE, ADJACENCY, JOINT_ACTION_VALUE, MESSAGE, OBSERVATION
-from marl_clean.networks import decode_joint
+from marl_clean.learning.networks import decode_joint
 from marl_clean.report.axes import new_figure, unit
-from marl_clean.viewer import INK, ROBOTS, robot_colour
 
 STEP = 1.75  # from one layer to the next
 LANE = 2.6  # from one robot to the next

@@ -7,10 +7,10 @@ from pathlib import Path
 from omegaconf import DictConfig
 from PIL import Image
 
-from marl_clean import files
+from marl_clean.env.viewer import Scene, draw
 from marl_clean.evaluation.evaluator import PolicyFor
 from marl_clean.report.episode import first_held_out, scenes
-from marl_clean.viewer import Scene, draw
+from marl_clean.storage import files
 
 MAX_BYTES = 2_000_000
 MOST_FRAMES = 256  # also bounds the memory: they are all held until their palette is known

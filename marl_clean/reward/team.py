@@ -3,7 +3,7 @@
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from marl_clean.reward.base import RewardSplit
+from marl_clean.env.transform import RewardSplit
 
 
 class Team(RewardSplit):

@@ -10,8 +10,8 @@ from torchrl.data import Binary, Bounded, TensorSpec
 
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.env.transform import WorldTransform
 from marl_clean.errors import BadInput
-from marl_clean.transform import WorldTransform
 from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import distance_rank
 from marl_clean.world.state import State

@@ -15,12 +15,12 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
 from marl_clean import keys
-from marl_clean.agent.base import Agent
-from marl_clean.checkpoint import FOLDER, Checkpoints
-from marl_clean.curriculum import Curriculum
 from marl_clean.errors import BadInput
+from marl_clean.learning.agent import Agent
 from marl_clean.logger.base import CLOCK, Logger, Progress
-from marl_clean.training import (
+from marl_clean.storage.checkpoint import FOLDER, Checkpoints
+from marl_clean.trainer._curriculum import Curriculum
+from marl_clean.trainer._training import (
     Best,
     CarriedCollector,
     Diverged,

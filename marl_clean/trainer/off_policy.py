@@ -9,13 +9,13 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs import EnvBase
 
 from marl_clean import keys
-from marl_clean.agent.base import Agent
-from marl_clean.checkpoint import Checkpoints
 from marl_clean.errors import BadInput
+from marl_clean.learning.agent import Agent
 from marl_clean.logger.base import Logger
 from marl_clean.settings import NonNegativeInt, PositiveFloat, PositiveInt, Probability
+from marl_clean.storage.checkpoint import Checkpoints
+from marl_clean.trainer._training import Rows, Windows, check_finite, replay_state, restore_replay
 from marl_clean.trainer.base import Evaluate, Run, Trainer
-from marl_clean.training import Rows, Windows, check_finite, replay_state, restore_replay
 
 
 class OffPolicy(Trainer):

@@ -7,14 +7,14 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
-from marl_clean.agent.base import Agent
-from marl_clean.checkpoint import Checkpoints
 from marl_clean.errors import BadInput
+from marl_clean.learning.agent import Agent
+from marl_clean.learning.ppo import Ppo
 from marl_clean.logger.base import Logger
-from marl_clean.ppo import Ppo
 from marl_clean.settings import PositiveInt, Probability
+from marl_clean.storage.checkpoint import Checkpoints
+from marl_clean.trainer._training import check_finite
 from marl_clean.trainer.base import Evaluate, Run, Trainer
-from marl_clean.training import check_finite
 
 
 class OnPolicy(Trainer):

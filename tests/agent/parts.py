@@ -5,13 +5,14 @@ from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torch import Tensor
 
-from marl_clean import compose, keys
-from marl_clean.agent.base import Agent
+from marl_clean import keys
 from marl_clean.agent.iql import Iql
 from marl_clean.build import make_comm as build_comm
 from marl_clean.comm.base import Comm
+from marl_clean.config import compose
+from marl_clean.config.schema import constant, instantiate
 from marl_clean.encoder.cnn import Cnn
-from marl_clean.schema import constant, instantiate
+from marl_clean.learning.agent import Agent
 
 CODES = torch.tensor([-1.0, -0.2, 0.0, 0.3, 0.5, 1.0])
 SIDE = 9

@@ -5,8 +5,8 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from marl_clean import build, keys
-from marl_clean.compose import compose_config
-from marl_clean.training import CarriedCollector, Rows, Windows
+from marl_clean.config.compose import compose_config
+from marl_clean.trainer._training import CarriedCollector, Rows, Windows
 
 BASE = [
     "train_houses=8",

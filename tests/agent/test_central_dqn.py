@@ -11,11 +11,11 @@ from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from marl_clean import build, keys
-from marl_clean.compose import compose_config
+from marl_clean.config.compose import compose_config
+from marl_clean.config.fitting import check_fit
+from marl_clean.config.stored import compose_for_policy
 from marl_clean.errors import BadInput
-from marl_clean.fitting import check_fit
-from marl_clean.networks import decode_joint, encode_joint
-from marl_clean.stored import compose_for_policy
+from marl_clean.learning.networks import decode_joint, encode_joint
 from tests.agent.parts import transitions
 
 CENTRAL = ["agent=central_dqn", "comm=none", "reward=team", "train_houses=8", "env.num_envs=6"]

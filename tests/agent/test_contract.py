@@ -8,11 +8,12 @@ from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torch.distributions import Categorical
 
-from marl_clean import compose, keys
+from marl_clean import keys
 from marl_clean.agent.vdn import Vdn
-from marl_clean.deep_q import DeepQ
-from marl_clean.ppo import Ppo
-from marl_clean.schema import constant
+from marl_clean.config import compose
+from marl_clean.config.schema import constant
+from marl_clean.learning.deep_q import DeepQ
+from marl_clean.learning.ppo import Ppo
 from tests.agent.parts import LEARNERS, STATE_SHAPE, make_learner, transitions
 
 SCHEMES = sorted(path.stem for path in (compose.conf_folder() / "comm").glob("*.yaml"))

@@ -15,8 +15,8 @@ from torch import nn
 
 from marl_clean import build, keys
 from marl_clean.agent.iql import Iql
-from marl_clean.compose import compose_config
-from marl_clean.schema import instantiate
+from marl_clean.config.compose import compose_config
+from marl_clean.config.schema import instantiate
 from marl_clean.trainer.off_policy import OffPolicy
 from marl_clean.world.dynamics import advance_, episode_ends
 from marl_clean.world.sensing import crop, distance_rank, in_view

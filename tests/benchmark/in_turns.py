@@ -19,8 +19,9 @@ WARM_UP, STEPS = 10, 150
 WORKER = f"""
 import sys, time
 import torch
-from marl_clean import benchmark, keys
-from marl_clean.compose import compose_config
+from marl_clean.commands import benchmark
+from marl_clean import keys
+from marl_clean.config.compose import compose_config
 
 env = benchmark.env_of(compose_config([]), 1024, 3, 20)
 drawn, carried = benchmark.actions(env), env.reset()

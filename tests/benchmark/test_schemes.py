@@ -6,9 +6,9 @@ import pytest
 import torch
 from rich.console import Console
 
-from marl_clean import benchmark_schemes as schemes
-from marl_clean.benchmark import table_of_costs, table_of_growth
-from marl_clean.benchmark_schemes import Cost, exponent, prepared, ratios
+from marl_clean.commands import _benchmark_schemes as schemes
+from marl_clean.commands._benchmark_schemes import Cost, exponent, prepared, ratios
+from marl_clean.commands.benchmark import table_of_costs, table_of_growth
 
 COSTS = [Cost("comm=none", 10.0, 2.0, 1_000), Cost("comm=dgn", 15.0, 3.0, 2_500)]
 

@@ -7,8 +7,9 @@ import torch
 from omegaconf import OmegaConf
 from torch import Tensor
 
-from marl_clean.channel.base import Channel, Crossing
-from marl_clean.schema import instantiate, takes
+from marl_clean.channel.base import Channel
+from marl_clean.config.schema import instantiate, takes
+from marl_clean.learning.crossing import Crossing
 from tests.comm.contract import draw, make, within
 
 CONF = Path(__file__).parents[2] / "conf" / "channel"

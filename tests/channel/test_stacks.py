@@ -6,9 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from marl_clean.channel.base import Channel, Crossing, Step
+from marl_clean.channel.base import Channel, Step
 from marl_clean.channel.quantised import Quantised
-from marl_clean.compose import compose_config
+from marl_clean.config.compose import compose_config
+from marl_clean.learning.crossing import Crossing
 from tests.channel.played import LEVELS, Frames, frames, make_channel
 
 DIMS = (3, 2)

@@ -14,7 +14,7 @@ from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from marl_clean import build, keys
-from marl_clean.agent.base import Agent
+from marl_clean.learning.agent import Agent
 from tests.trainer.probe import N_AGENTS, SIDE, Probe
 
 LEFT, RIGHT = 3, 1

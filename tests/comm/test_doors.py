@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from marl_clean.agent.base import Agent
 from marl_clean.channel.delayed import Delayed
+from marl_clean.learning.agent import Agent
 from marl_clean.logger.csv import Csv
 from marl_clean.trainer.base import Trainer
 from marl_clean.trainer.off_policy import OffPolicy

@@ -9,7 +9,7 @@ import sys
 import torch
 
 from marl_clean import build, keys
-from marl_clean.compose import compose_config
+from marl_clean.config.compose import compose_config
 
 WORLDS = 12
 SMALL = [

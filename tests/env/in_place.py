@@ -11,8 +11,8 @@ import torch
 from torch._inductor.utils import run_and_get_code
 
 from marl_clean import build
-from marl_clean.compose import compose_config
-from marl_clean.transformed import TransformedWorlds
+from marl_clean.config.compose import compose_config
+from marl_clean.env.transformed import TransformedWorlds
 
 WORLDS = 64
 SETTINGS = [

@@ -7,7 +7,7 @@ from torchrl.envs import check_env_specs
 
 from marl_clean import keys
 from marl_clean.build import make_env
-from marl_clean.compose import compose_config
+from marl_clean.config.compose import compose_config
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.errors import BadInput
 from marl_clean.house.base import draw_houses

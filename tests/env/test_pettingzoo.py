@@ -17,9 +17,11 @@ from rich.console import Console
 from torch import nn
 from torchrl.envs.utils import check_env_specs
 
-from marl_clean import build, cli, compare, keys, load_policy, make_env, schema
-from marl_clean import train as command
-from marl_clean.compose import compose_config
+from marl_clean import build, cli, keys, load_policy, make_env
+from marl_clean.commands import compare
+from marl_clean.commands import train as command
+from marl_clean.config import schema
+from marl_clean.config.compose import compose_config
 from marl_clean.env import pettingzoo
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.episodes import play

@@ -8,7 +8,7 @@ from torch import nn
 
 from marl_clean import build, cli, keys
 from marl_clean.channel.base import Step
-from marl_clean.compose import compose_config
+from marl_clean.config.compose import compose_config
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.causal import change
 from marl_clean.evaluation.evaluator import as_ever, evaluate

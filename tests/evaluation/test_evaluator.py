@@ -6,7 +6,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from marl_clean import build
-from marl_clean.compose import compose_config
+from marl_clean.config.compose import compose_config
 from marl_clean.evaluation import evaluator
 from marl_clean.evaluation.evaluator import (
     evaluate,

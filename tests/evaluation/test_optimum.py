@@ -10,8 +10,8 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
-from marl_clean import checks
-from marl_clean.compose import checked, compose_config
+from marl_clean.commands import checks
+from marl_clean.config.compose import checked, compose_config
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.bounds import bound_100
 from marl_clean.evaluation.evaluator import measure_planner

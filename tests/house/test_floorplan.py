@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from marl_clean.errors import BadInput
-from marl_clean.floorplan_readers import to_cells
+from marl_clean.house._floorplan_readers import to_cells
 from marl_clean.house.base import draw_houses
 from marl_clean.house.drawn import SHIPPED, Drawn
 from marl_clean.house.floorplan import FloorPlan

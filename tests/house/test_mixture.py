@@ -8,7 +8,7 @@ import torch
 from scipy.stats import chisquare
 
 from marl_clean import build, cli
-from marl_clean.compose import compose_config
+from marl_clean.config.compose import compose_config
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.evaluator import measure_planner

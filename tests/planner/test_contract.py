@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from marl_clean import build
-from marl_clean.compose import compose_config
+from marl_clean.config.compose import compose_config
 from marl_clean.evaluation.evaluator import evaluate
 from marl_clean.keys import ACTION
 from marl_clean.settings import HouseOrder

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from marl_clean import evaluate, figure, viewer, watch
-from marl_clean.compose import compose_config
+from marl_clean.commands import evaluate, figure, watch
+from marl_clean.config.compose import compose_config
+from marl_clean.env import viewer
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses
 from marl_clean.report import figures

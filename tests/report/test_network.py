@@ -6,7 +6,7 @@ import matplotlib
 import pytest
 
 from marl_clean import keys
-from marl_clean.compose import compose_config
+from marl_clean.config.compose import compose_config
 from marl_clean.report.axes import STYLE
 from marl_clean.report.figures import _watched, draw_figure
 

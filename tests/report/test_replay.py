@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from marl_clean import viewer
+from marl_clean.env import viewer
+from marl_clean.env.viewer import Layout, Scene
 from marl_clean.report import replay
 from marl_clean.report.replay import cell_pixels, drawn, write_gif
-from marl_clean.viewer import Layout, Scene
 
 
 def moments(count: int, rows: int = 3, cols: int = 7) -> list[Scene]:

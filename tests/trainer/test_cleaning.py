@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from marl_clean import build, keys
-from marl_clean.checkpoint import FOLDER, Checkpoints
-from marl_clean.compose import compose_config
+from marl_clean.config.compose import compose_config
+from marl_clean.config.schema import instantiate
 from marl_clean.logger.csv import Csv
-from marl_clean.schema import instantiate
+from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer.off_policy import OffPolicy
 
 SETTINGS = [

@@ -8,10 +8,10 @@ import torch
 from torchrl.envs import Compose, TransformedEnv
 
 from marl_clean import build
-from marl_clean.agent.base import Agent
 from marl_clean.channel.delayed import Delayed
-from marl_clean.checkpoint import FOLDER, Checkpoints
+from marl_clean.learning.agent import Agent
 from marl_clean.logger.csv import Csv
+from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer.base import Trainer
 from marl_clean.trainer.off_policy import OffPolicy
 from marl_clean.trainer.on_policy import OnPolicy

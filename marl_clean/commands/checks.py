@@ -1,0 +1,140 @@
+"""What a config asks of the machine: its floor plan, its folders, its device."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from marl_clean.config.compose import plays_houses
+from marl_clean.config.schema import constant, instantiate
+from marl_clean.config.stored import find_run, load_config
+from marl_clean.errors import BadInput
+from marl_clean.house.base import check_largest, draw_houses, split_seeds
+from marl_clean.house.floorplan import FloorPlan
+
+
+def check_house(config: DictConfig) -> None:
+    """Draw one house as training and evaluation will; of a mixture one of every part.
+
+    Raises BadInput for a plan that cannot be read, has no free cell or fewer than robots, and
+    for sizes that allow no house, or larger ones than the observation has room for. Does
+    nothing where there are no houses.
+    """
+    if not plays_houses(config):
+        return
+    for part in instantiate(config.house).parts():
+        houses = draw_houses(part, split_seeds("test", 1), config.env.n_agents)
+        sides = [getattr(part, key, [0])[-1] for key in ("rows", "cols")]  # others may be larger
+        _check_sees(config, *map(max, zip(sides, houses.free.shape[1:], strict=True)))
+
+
+def check_shows_houses(config: DictConfig) -> None:
+    """Raises BadInput where a command that shows houses is given a config without them."""
+    if not plays_houses(config):
+        raise BadInput("env: a task of others has no houses, which this command shows")
+
+
+def check_plans(config: DictConfig) -> None:
+    """Raises BadInput for a plan of `evaluation.plans` that cannot be read, holds no robots, or
+    is larger than the observation has room for."""
+    for path in config.evaluation.plans if plays_houses(config) else ():
+        try:
+            houses = draw_houses(FloorPlan(path), [], config.env.n_agents)
+            _check_sees(config, *houses.free.shape[1:])
+        except BadInput as error:
+            raise BadInput(f"evaluation.plans: {error}") from None
+
+
+def check_teams(config: DictConfig) -> None:
+    """Raises BadInput for a size of `evaluation.team_sizes` that the learner cannot have, or for
+    which the houses have no room; a task of others brings its own robots."""
+    for size in config.evaluation.get("team_sizes", []):
+        if not plays_houses(config):
+            raise BadInput("evaluation.team_sizes: env is a task of others; valid: []")
+        if "env.n_agents" in (constant(config.agent._target_, "sized_by") or []):
+            level = config.agent._target_.split(".")[2]
+            raise BadInput(
+                f"evaluation.team_sizes: agent={level} is of env.n_agents robots; valid: []"
+            )
+        team = config.copy()
+        team.env.n_agents = size
+        try:
+            check_house(team)
+        except BadInput as error:
+            raise BadInput(f"evaluation.team_sizes: {size}: {error}") from None
+
+
+def _check_sees(config: DictConfig, rows: int, cols: int) -> None:
+    largest = config.observation.get("largest_side")
+    if largest is not None:
+        check_largest(largest, rows, cols)
+
+
+def check_square_view(config: DictConfig, what: str) -> None:
+    """Raises BadInput when robots do not see a square around themselves, which `what` shows."""
+    if "view_size" not in config.observation:
+        level = config.observation._target_.split(".")[2]
+        raise BadInput(f"observation={level}: {what} needs a square around the robot, as of crop")
+
+
+def check_old_houses(config: DictConfig) -> None:
+    """Raises BadInput where the houses of the run that training starts from cannot be drawn.
+
+    They are measured after training, and a plan of theirs may lie elsewhere by now.
+    """
+    if config.checkpoint is None:
+        return
+    old = config.copy()
+    old.house = load_config(find_run(config.checkpoint))["house"]
+    try:
+        check_house(old)
+    except BadInput as error:
+        raise BadInput(f"checkpoint={config.checkpoint}: its houses: {error}") from None
+
+
+def check_optimum(config: DictConfig) -> None:
+    """Raises BadInput when the proven optimum is asked for and OR-tools is not installed."""
+    if config.evaluation.get("optimum", False) and find_spec("ortools") is None:
+        raise BadInput(
+            "evaluation.optimum=true: needs OR-tools; pip install 'marl-clean[optimum]', or leave "
+            "it out"
+        )
+
+
+def check_out(path: Path) -> None:
+    """Raises BadInput when no file can be written at `path`."""
+    if path.is_dir():
+        raise BadInput(f"out={path}: is a folder; give a file's name, such as {path}/out.json")
+    for parent in path.parents:
+        if parent.exists():
+            if not parent.is_dir():
+                raise BadInput(f"out={path}: {parent} is not a folder; give another file")
+            return
+
+
+def check_device(device: str) -> None:
+    """Raises BadInput when torch cannot use `device`; asks torch only when it is not the cpu."""
+    if device == "cpu":
+        return
+    import torch
+
+    gpus = [f"cuda:{index}" for index in range(torch.cuda.device_count())]
+    valid = ["cpu", *(["cuda"] if gpus else []), *gpus]
+    valid += ["mps"] if torch.backends.mps.is_available() else []
+    if device not in valid:
+        raise BadInput(f"device={device}: not on this machine; valid: {', '.join(valid)}")
+
+
+def check_compile(config: DictConfig) -> None:
+    """Raises BadInput when the env is to be compiled and torch lies in a path with a space.
+
+    torch 2.13 does not quote that path for the linker (pytorch/pytorch pull request 191010).
+    """
+    torch = find_spec("torch")
+    if not config.env.get("compile", False) or torch is None or torch.origin is None:
+        return
+    if " " in torch.origin:
+        raise BadInput(
+            f"env.compile=true: torch cannot compile where its path has a space, {torch.origin}; "
+            "start Python by a link to its environment without one, or leave it out"
+        )

@@ -1,0 +1,209 @@
+"""`marl-clean compare RUNS...`: seeds pooled, and each setting against one on the same houses."""
+
+import json
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from marl_clean.commands.labels import labels
+from marl_clean.config.config_hash import OUTSIDE_THE_HASH
+from marl_clean.config.schema import choices
+from marl_clean.config.stored import RUNS, find_run, load_config
+from marl_clean.errors import BadInput
+from marl_clean.evaluation.paired import Row, differences, make_paired_table, without_twin
+from marl_clean.evaluation.records import MEASURED, Entry, read_entries, summarise, write_entries
+from marl_clean.evaluation.table import YARDSTICK, make_table, output
+from marl_clean.storage import files
+from marl_clean.storage.manifest import count_weights
+
+BESIDE_THE_POINT = (*OUTSIDE_THE_HASH, "seed")
+OF_THE_MACHINE = ("num_envs", "compile")  # of the env: how it is played, not what
+log = logging.getLogger(__name__)
+
+Config = Mapping[str, Any]
+
+
+@dataclass
+class Setting:
+    """Runs of one config in one world, by their seed."""
+
+    config: Config
+    runs: dict[int, Entry] = field(default_factory=dict)
+    parameters: int | None = None
+
+
+@dataclass
+class World:
+    """What was played in one world on the same houses: settings of learners, and planners."""
+
+    settings: dict[str, Setting] = field(default_factory=dict)
+    others: dict[str, Entry] = field(default_factory=dict)
+
+
+def main(
+    runs: Sequence[str],
+    out: Path | None = None,
+    console: Console | None = None,
+    against: str | None = None,
+    figure: bool = True,
+) -> list[Entry]:
+    """Print two tables for every set of houses and return their entries, those of all seeds pooled.
+
+    The first has means, the second each setting's paired difference to one of them: `against`,
+    or the first that is silent (`comm=none`), or the first. Intervals over several seeds
+    resample runs and then houses. A folder without a finished run is named in one line and left
+    out. `out`: where the entries are written as json; the differences are written beside it, as
+    `<out>_paired.json`. `figure`: draw runs/figures/compare*.png and .svg.
+    Raises BadInput when no run is left, or none is called `against`.
+    """
+    worlds = gather(runs)
+    if not worlds:
+        raise BadInput(f"compare: no finished run among {', '.join(runs)}; give folders of {RUNS}/")
+    console = console or output()
+    written: list[Entry] = []
+    paired: list[dict[str, Any]] = []
+    for number, world in enumerate(worlds, start=1):
+        rows = rows_of(world)
+        pools = {row.label: pooled(list(row.runs.values()), row.label) for row in rows}
+        entries = [*pools.values(), *world.others.values()]
+        entries.sort(key=lambda entry: entry["epsilon"] == 0)  # the planners last
+        console.print(make_table(entries))
+        written += entries
+        found: list[dict[str, Any]] = []
+        if len(rows) > 1 or against is not None:
+            reference = reference_of(world, rows, against)
+            found = differences(rows, reference)
+            if alone := without_twin(rows, reference):
+                told = "; ".join(alone)
+                log.warning("seeds without a twin beside %s: %s", reference.label, told)
+            if found:
+                console.print(make_paired_table(found, reference))
+            paired += found
+        if figure and rows and "T_100" in entries[0]["summary"]:
+            draw(pools, world.others.get(YARDSTICK), found, number, console)
+    if out is not None:
+        write_entries(out, written)
+        beside = out.with_name(f"{out.stem}_paired.json")
+        files.write_file(beside, [(json.dumps(paired, indent=1) + "\n").encode()])
+    return written
+
+
+def gather(runs: Sequence[str]) -> list[World]:
+    """What the finished runs among `runs` measured, world by world; the others are named."""
+    worlds: dict[str, World] = {}
+    seen: set[Path] = set()
+    for run in runs:
+        try:
+            folder = find_run(run)
+            config = load_config(folder)
+            entries = read_entries(folder / MEASURED)
+        except BadInput as error:
+            log.warning("left out: %s", error)
+            continue
+        if config["name"] not in {entry["policy"] for entry in entries}:
+            log.warning("left out: %s: tells nothing of its own run", folder / MEASURED)
+            continue
+        if folder.resolve() in seen:
+            continue
+        seen.add(folder.resolve())
+        for entry in entries:
+            world = worlds.setdefault(what_was_played(entry, config["env"]), World())
+            if entry["policy"] != config["name"]:  # in one world a planner plays alike for all
+                world.others[entry["policy"]] = entry
+                continue
+            setting = world.settings.setdefault(_apart_from_the_seed(config), Setting(config))
+            setting.runs[config["seed"]] = entry
+            setting.parameters = count_weights(folder)
+    return list(worlds.values())
+
+
+def rows_of(world: World) -> list[Row]:
+    """A row a setting, called after what sets it apart from the others."""
+    settings = list(world.settings.values())
+    if len(settings) == 1:
+        names = [_common_start([entry["policy"] for entry in settings[0].runs.values()])]
+    else:
+        names = labels([setting.config for setting in settings], BESIDE_THE_POINT)
+    return [
+        Row(name, dict(setting.runs), setting.parameters)
+        for name, setting in zip(names, settings, strict=True)
+    ]
+
+
+def reference_of(world: World, rows: Sequence[Row], against: str | None) -> Row:
+    """The row that the others are held against: the one asked for, a silent one, or the first.
+
+    Raises BadInput where none is called so.
+    """
+    others = [Row(name, {None: entry}) for name, entry in world.others.items()]
+    if against is not None:
+        by_label = {row.label: row for row in (*rows, *others)}
+        if against not in by_label:
+            raise BadInput(f"--against {against}: no such row; {choices(against, by_label)}")
+        return by_label[against]
+    silent = [
+        row
+        for row, setting in zip(rows, world.settings.values(), strict=True)
+        if setting.config["comm"]["_target_"].split(".")[2] == "none"
+    ]
+    return [*silent, *rows][0]
+
+
+def draw(
+    pools: Mapping[str, Entry],
+    planner: Entry | None,
+    found: Sequence[Mapping[str, Any]],
+    number: int,
+    console: Console,
+) -> None:
+    """Draw one world's figure."""
+    from marl_clean.report.axes import save_figure
+    from marl_clean.report.comparison import draw_comparison
+
+    first = next(iter(pools.values()))
+    title = f"{first['house_set']}, {first['n_agents']} robots; 95 % intervals"
+    figure = draw_comparison(title, {name: (e, planner) for name, e in pools.items()}, found)
+    name = "compare" if number == 1 else f"compare_{number}"
+    for path in save_figure(figure, RUNS / "figures" / name):
+        console.print(f"written to {path}", soft_wrap=True)
+
+
+def pooled(entries: Sequence[Entry], label: str | None = None) -> Entry:
+    """One policy's entries, a run each on the same houses, as one; its name tells how many."""
+    first = entries[0]
+    name = label or _common_start([entry["policy"] for entry in entries])
+    if len(entries) == 1:
+        return {**first, "policy": label or first["policy"]}
+    houses = [entry["houses"] for entry in entries]
+    return {
+        **first,
+        "policy": f"{name} ({len(entries)} seeds)",
+        "houses": [house for run in houses for house in run],
+        "summary": summarise(houses),
+    }
+
+
+def what_was_played(entry: Entry, env: Mapping[str, Any]) -> str:
+    """What makes entries comparable: one world's rules, and the same houses and starts."""
+    apart = (*OF_THE_MACHINE, "n_agents")  # the entry's own may be another team's
+    rules = {key: value for key, value in env.items() if key not in apart}
+    names = ("seed", "path", "rows", "cols", "free_cells", "bound_100", "max_steps")
+    houses = [[house.get(name) for name in names] for house in entry["houses"]]
+    return json.dumps([rules, entry["house_set"], entry["n_agents"], houses], sort_keys=True)
+
+
+def _apart_from_the_seed(config: Config) -> str:
+    """All of a run's config that makes it another policy than its other seeds, as text."""
+    setting = {key: value for key, value in config.items() if key not in BESIDE_THE_POINT}
+    return json.dumps(setting, sort_keys=True)
+
+
+def _common_start(names: Sequence[str]) -> str:
+    """What names begin with alike, without the marks before what differs."""
+    shortest, longest = min(names), max(names)
+    length = next((i for i, c in enumerate(shortest) if c != longest[i : i + 1]), len(shortest))
+    return shortest[:length].removesuffix("s").rstrip("-_") or shortest

@@ -1,0 +1,152 @@
+"""The comparisons that the paper argues for but never ran: each trains what it needs.
+
+`marl-clean figure NAME budget=smoke|small|full seed=0,1,2`: a row is one preset or setting, its
+runs are those that `marl-clean train` with the same settings makes, so nothing is trained twice.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from omegaconf import DictConfig
+from rich.console import Console
+
+from marl_clean.commands.checks import check_compile, check_device, check_house, check_plans
+from marl_clean.commands.sweep import sweep_jobs
+from marl_clean.config.compose import BUDGET, EXPERIMENT, compose_config, parse_overrides
+from marl_clean.config.fitting import check_fit
+from marl_clean.config.stored import RUNS, check_same_run
+from marl_clean.errors import BadInput
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What is asked, and the rows that answer it: a label and the settings behind it."""
+
+    question: str
+    rows: Mapping[str, Sequence[str]]
+
+
+COMPARISONS = {
+    "single": Comparison(
+        "Does one learning robot beat the walk to the nearest unknown cell? (§3.2)",
+        {"one robot": ["experiment=paper_single"]},
+    ),
+    "approaches": Comparison(
+        "One network for all robots, or one each? (§3.4)",
+        {
+            "approach 1: central controller": ["experiment=paper_central"],
+            "approach 2: message, r1 + r2": ["experiment=paper_proximity"],
+            "independent: no message, own reward": ["experiment=independent"],
+        },
+    ),
+    "sharing": Comparison(
+        "Does it help to share the reward? (§3.4)",
+        {
+            "each its own": ["experiment=paper_proximity", "reward=individual"],
+            "r1 + r2 near each other": ["experiment=paper_proximity"],
+            "the team's sum": ["experiment=paper_proximity", "reward=team"],
+        },
+    ),
+    "sensors": Comparison(
+        "Distance sensors, or the map in memory? (§3.2)",
+        {
+            "map around the robot": ["experiment=independent"],
+            "8 distance sensors": [
+                "experiment=independent",
+                "observation=distances",
+                "encoder=mlp",
+            ],
+        },
+    ),
+    "memory": Comparison(
+        "Full ignorance, or a house that the robots know? (§3.4)",
+        {
+            "unknown": ["experiment=paper_proximity"],
+            "memorised": ["experiment=paper_proximity", "env.knowledge=memorised"],
+            "memorised, then furniture moved": [
+                "experiment=paper_proximity",
+                "env.knowledge=stale",
+                "env.furniture_moves_before_start=6",
+            ],
+        },
+    ),
+    "readings": Comparison(
+        "Which reading of the reward can be learnt? (§3.3)",
+        {
+            "default": ["experiment=paper_proximity"],
+            "every cell pays 2 - 2 v": [
+                "experiment=paper_proximity",
+                "env.uncleaned_at_most=0.499",
+            ],
+            "an unknown cell counts as 0": ["experiment=paper_proximity", "env.unknown_pays_as=0"],
+            "cases exclude each other": ["experiment=paper_proximity", "env.cases=exclude"],
+            "every bump pays": ["experiment=paper_proximity", "env.obstacles=every"],
+        },
+    ),
+}
+
+
+def jobs_of(name: str, settings: Sequence[str]) -> dict[str, list[DictConfig]]:
+    """The checked configs behind each row of a comparison, one a seed.
+
+    Raises BadInput where a setting is wrong, or would make the rows something else.
+    """
+    given = {override.key_or_group for override in parse_overrides(settings)}
+    for key in ("name", "checkpoint", EXPERIMENT):
+        if key in given:
+            raise BadInput(f"{key}: figure {name} trains runs of its own; leave it out")
+    jobs = {}
+    for label, row in COMPARISONS[name].rows.items():
+        combined = sweep_jobs(parse_overrides([*row, *settings]))
+        jobs[label] = [compose_config(job) for job in combined]
+        for config in jobs[label]:
+            check_house(config)
+            check_fit(config)
+            check_device(config.device)
+            check_compile(config)
+            check_plans(config)
+            check_same_run(config, RUNS / config.name)
+    return jobs
+
+
+def main(name: str, settings: Sequence[str], console: Console | None = None) -> list[Path]:
+    """Train what comparison `name` lacks, and draw it into runs/figures.
+
+    Raises BadInput before anything is trained where a setting is wrong.
+    """
+    jobs = jobs_of(name, settings)
+    from marl_clean.commands import train
+    from marl_clean.commands.compare import pooled
+    from marl_clean.evaluation.records import Entry
+    from marl_clean.evaluation.table import YARDSTICK, output
+    from marl_clean.report.axes import save_figure
+    from marl_clean.report.comparison import draw_comparison
+
+    console = console or output()
+    rows: dict[str, tuple[Entry, Entry]] = {}
+    for label, configs in jobs.items():
+        learned, planner = [], []
+        for config in configs:
+            entries = train.main(config, RUNS / config.name, console)
+            of_set = [e for e in entries if e["house_set"] == entries[0]["house_set"]]
+            learned.append(of_set[0])
+            planner += [entry for entry in of_set if entry["policy"] == YARDSTICK]
+        rows[label] = (pooled(learned), planner[0])
+    first = next(iter(jobs.values()))
+    title = f"{COMPARISONS[name].question}\n{how_much(settings, first)}"
+    paths = save_figure(draw_comparison(title, rows), RUNS / "figures" / name)
+    for path in paths:
+        console.print(f"written to {path}", soft_wrap=True)
+    return paths
+
+
+def how_much(settings: Sequence[str], configs: Sequence[DictConfig]) -> str:
+    """How long the runs of a row were trained and on how much they were measured, in words."""
+    budget = [o.value() for o in parse_overrides(settings) if o.key_or_group == BUDGET]
+    config = configs[0]
+    return (
+        f"budget={budget[-1] if budget else 'as in the presets'}:"
+        f" {config.trainer.total_frames:,} frames, {len(configs)} run(s) a row,"
+        f" {config.evaluation.houses} houses; 95 % intervals"
+    )

@@ -1,0 +1,91 @@
+"""`marl-clean doctor`: what is installed, what is missing, how to mend it."""
+
+import os
+import platform
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import metadata, util
+
+from packaging.requirements import Requirement
+
+from marl_clean import __version__
+from marl_clean.config.compose import conf_folder
+from marl_clean.errors import BadInput
+
+DISTRIBUTION = "marl-clean"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report; `mend` says what to do about it, or is empty when all is well."""
+
+    what: str
+    state: str
+    mend: str = ""
+
+
+def findings() -> Iterator[Finding]:
+    """Everything worth knowing about this installation, what is wrong included."""
+    yield Finding("marl-clean", __version__)
+    yield Finding("python", f"{platform.python_version()} ({sys.executable})")
+    yield _conf()
+    yield from _distributions()
+    yield from _device()
+
+
+def _conf() -> Finding:
+    try:
+        return Finding("config folder", str(conf_folder()))
+    except BadInput as error:
+        return Finding("config folder", "missing", str(error))
+
+
+def _distributions() -> Iterator[Finding]:
+    """The version of every declared requirement against its range; extras may be missing."""
+    try:
+        declared = metadata.requires(DISTRIBUTION) or []
+    except metadata.PackageNotFoundError:
+        yield Finding(DISTRIBUTION, "runs from its folder, not installed", "pip install -e .")
+        return
+    # Everybody's first; what two extras ask for once.
+    requirements = {requirement.name: requirement for requirement in map(Requirement, declared)}
+    extras = {name: _extra_of(requirement) for name, requirement in requirements.items()}
+    for name in sorted(requirements, key=lambda name: (extras[name] or "", name)):
+        if name != DISTRIBUTION:
+            yield _distribution(requirements[name], extras[name])
+
+
+def _distribution(requirement: Requirement, extra: str | None) -> Finding:
+    wanted = f"{requirement.name}{requirement.specifier}"
+    mend = f"pip install '{wanted}'"
+    try:
+        version = metadata.version(requirement.name)
+    except metadata.PackageNotFoundError:
+        state = f"not installed (extra {extra})" if extra else "missing"
+        return Finding(wanted, state, "" if extra else mend)
+    fits = requirement.specifier.contains(version, prereleases=True)
+    return Finding(wanted, version, "" if fits else mend)
+
+
+def _extra_of(requirement: Requirement) -> str | None:
+    """The extra that asks for a requirement, or None when everybody needs it."""
+    if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
+        return None
+    extras = metadata.metadata(DISTRIBUTION).get_all("Provides-Extra") or []
+    return next((e for e in extras if requirement.marker.evaluate({"extra": e})), None)
+
+
+def _device() -> Iterator[Finding]:
+    cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+    yield Finding("cores", str(cores))
+    if util.find_spec("torch") is None:
+        return
+    import torch
+
+    yield Finding("torch threads", f"{torch.get_num_threads()} (OMP_NUM_THREADS sets them)")
+    devices = [
+        f"cuda:{i} {torch.cuda.get_device_name(i)}" for i in range(torch.cuda.device_count())
+    ]
+    devices += ["mps"] if torch.backends.mps.is_available() else []
+    yield Finding("devices", ", ".join(["cpu", *devices]))

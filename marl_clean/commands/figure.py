@@ -1,0 +1,38 @@
+"""`marl-clean figure NAME`: one figure into runs/figures, as svg and png."""
+
+from pathlib import Path
+
+from omegaconf import DictConfig
+from rich.console import Console
+
+from marl_clean.commands.checks import check_square_view
+from marl_clean.commands.comparison import COMPARISONS
+from marl_clean.config.schema import choices
+from marl_clean.config.stored import RUNS
+from marl_clean.errors import BadInput
+
+NAMES = (
+    "houses",
+    "paper_1",
+    "paper_2",
+    "paper_3",
+    "paper_4",
+)  # known without importing what draws them
+
+
+def main(name: str, cfg: DictConfig, console: Console | None = None) -> list[Path]:
+    """Draw figure `name` of `cfg`'s world.
+
+    Raises BadInput when there is no such figure, or robots do not see what it shows.
+    """
+    if name not in NAMES:
+        raise BadInput(f"figure {name!r}: no such figure; {choices(name, (*NAMES, *COMPARISONS))}")
+    if name == "paper_2":
+        check_square_view(cfg, "figure paper_2")
+    from marl_clean.report.axes import save_figure
+    from marl_clean.report.figures import draw_figure
+
+    paths = save_figure(draw_figure(name, cfg), RUNS / "figures" / name)
+    for path in paths:
+        (console or Console()).print(f"written to {path}", soft_wrap=True)
+    return paths

@@ -1,0 +1,155 @@
+"""`marl-clean matrix RUNS...`: policies trained over one channel, measured over all the others."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from marl_clean.commands.labels import labels
+from marl_clean.config.compose import checked, compose_config
+from marl_clean.config.config_hash import OUTSIDE_THE_HASH
+from marl_clean.config.stored import RUNS, find_run, load_config
+from marl_clean.errors import BadInput
+from marl_clean.evaluation.records import Entry
+from marl_clean.evaluation.table import interval, output, percent
+
+BESIDE_THE_POINT = (*OUTSIDE_THE_HASH, "seed")
+CAPTION = (
+    "Rows: trained over; columns: measured over, on the same houses. T_90 with 95 % interval over\n"
+    "seeds and houses (a house not finished counts as its max_steps), and houses finished."
+)
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class Trained:
+    """Runs that differ in their seed alone."""
+
+    config: dict[str, Any]
+    folders: list[Path] = field(default_factory=list)
+
+
+def main(
+    runs: Sequence[str],
+    channels: Sequence[str] = (),
+    houses: int | None = None,
+    out: Path | None = None,
+    console: Console | None = None,
+) -> list[Entry]:
+    """Measure every run over every channel; print the matrix and draw it to runs/figures/matrix.
+
+    `channels` are stacks such as `lossy,quantised`, with settings as in `lossy(loss=0.5)`; none:
+    those that the runs were trained over. `houses`: how many, instead of each run's own. `out`:
+    where the entries are written, policies called `TRAINED | MEASURED`.
+    Raises BadInput where no run is left, or a channel is none.
+    """
+    groups = gather(runs)
+    tested = {text: section_of(text) for text in channels} or trained_over(groups)
+    from marl_clean import build
+    from marl_clean.commands.compare import pooled
+    from marl_clean.evaluation.evaluator import as_ever, measure
+    from marl_clean.evaluation.interventions import talking
+    from marl_clean.evaluation.records import write_entries
+    from marl_clean.report.axes import save_figure
+    from marl_clean.report.matrix import draw_matrix
+
+    console = console or output()
+    cells: dict[tuple[str, str], Entry] = {}
+    for label, trained in groups.items():
+        for name, section in tested.items():
+            entries = []
+            for folder in trained.folders:
+                cfg = over(load_config(folder), section, houses)
+                policy = talking(build.load_policy(folder, cfg.channel).to(cfg.device), cfg.name)
+                epsilon = cfg.evaluation.epsilon
+                title = f"{label} | {name}"
+                entries.append(measure(cfg, partial(as_ever, policy), title, epsilon=epsilon))
+            cells[label, name] = pooled(entries, f"{label} | {name}")
+    console.print(make_matrix(cells))
+    for path in save_figure(draw_matrix(cells), RUNS / "figures" / "matrix"):
+        console.print(f"written to {path}", soft_wrap=True)
+    if out is not None:
+        write_entries(out, list(cells.values()))
+    return list(cells.values())
+
+
+def gather(runs: Sequence[str]) -> dict[str, Trained]:
+    """The runs by what they were trained over, seeds together; what is no run is named."""
+    found: dict[str, Trained] = {}
+    for run in dict.fromkeys(runs):
+        try:
+            folder = find_run(run)
+            config = load_config(folder)
+        except BadInput as error:
+            log.warning("left out: %s", error)
+            continue
+        apart = {key: value for key, value in config.items() if key not in BESIDE_THE_POINT}
+        found.setdefault(str(sorted(apart.items())), Trained(config)).folders.append(folder)
+    if not found:
+        raise BadInput(f"matrix: no run among {', '.join(runs)}; give folders of {RUNS}/")
+    names = labels([trained.config for trained in found.values()], BESIDE_THE_POINT)
+    return dict(zip(names, found.values(), strict=True))
+
+
+def trained_over(groups: Mapping[str, Trained]) -> dict[str, DictConfig]:
+    """The distinct channels of the runs, called after what sets them apart."""
+    sections: list[dict[str, Any]] = []
+    for trained in groups.values():
+        section = trained.config["channel"]
+        if list(section.items()) not in [list(one.items()) for one in sections]:  # order matters
+            sections.append(section)
+    names = labels([{"channel": section} for section in sections], ())
+    short = [name.removeprefix("channel=") for name in names]
+    alone = ["+".join(section) for section in sections]
+    chosen = short if len(sections) > 1 else alone
+    return {name: OmegaConf.create(s) for name, s in zip(chosen, sections, strict=True)}
+
+
+def section_of(text: str) -> DictConfig:
+    """The channel section of `lossy(loss=0.5),quantised`. Raises BadInput where it is none."""
+    stack, settings = [], []
+    for part in text.replace(")", "").split(","):
+        name, opened, inner = part.partition("(")
+        if opened or "=" not in name:
+            stack.append(name.strip())
+            settings += [f"channel.{stack[-1]}.{inner}"] if inner else []
+        else:  # a further setting of the channel before
+            settings.append(f"channel.{stack[-1]}.{name.strip()}")
+    return compose_config([f"channel=[{','.join(stack)}]", *settings]).channel
+
+
+def over(config: dict[str, Any], channel: DictConfig, houses: int | None) -> DictConfig:
+    """A run's config over another channel, on its test houses."""
+    changed = {**config, "channel": OmegaConf.to_container(channel)}
+    changed["evaluation"] = {**config["evaluation"], "house_set": "test"}
+    if houses is not None:
+        changed["evaluation"]["houses"] = houses
+    return checked(changed)
+
+
+def make_matrix(cells: Mapping[tuple[str, str], Entry]) -> Table:
+    """The matrix as a table in the terminal."""
+    first = next(iter(cells.values()))
+    table = Table(
+        title=f"{first['house_set']}, {first['n_agents']} robots",
+        caption=CAPTION,
+        caption_justify="left",
+        box=box.SIMPLE_HEAD,
+    )
+    table.add_column("trained over", no_wrap=True)
+    columns = list(dict.fromkeys(column for _, column in cells))
+    for column in columns:
+        table.add_column(column, justify="right")
+    for row in dict.fromkeys(row for row, _ in cells):
+        summaries = [cells[row, column]["summary"] for column in columns]
+        table.add_row(
+            row, *(f"{interval(s['T_90'])}\n{percent(s['T_100']['reached'])}" for s in summaries)
+        )
+    return table

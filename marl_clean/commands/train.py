@@ -1,0 +1,166 @@
+"""`marl-clean train`: train, choose weights on validation houses, measure, draw."""
+
+import logging
+from functools import partial
+from pathlib import Path
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+
+from marl_clean import build
+from marl_clean.config.compose import compose_config, plays_houses
+from marl_clean.config.schema import instantiate
+from marl_clean.config.stored import CONFIG, find_run, load_config
+from marl_clean.errors import BadInput
+from marl_clean.evaluation.evaluator import (
+    as_ever,
+    measure,
+    measure_beside_planners,
+    measure_planner,
+    validate,
+)
+from marl_clean.evaluation.records import MEASURED, Entry, read_entries, write_entries
+from marl_clean.evaluation.table import make_table, output
+from marl_clean.report.curve import draw_curve
+from marl_clean.report.replay import make_replay
+from marl_clean.storage import files
+from marl_clean.trainer._training import Outcome
+
+
+def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[Entry]:
+    """Run `cfg` in `folder`: train or go on, then measure the best weights and draw.
+
+    The test houses are measured once, after training, beside the planners, and then every plan
+    of `evaluation.plans`. What is done already is not done again.
+
+    Raises:
+        BadInput: settings that do not fit each other; then no folder is made.
+        SystemExit: 143 or 130 after a signal, when the state is saved.
+    """
+    console = console or output()
+    outcome = train(cfg, folder)
+    if outcome.was_finished:
+        console.print(f"{folder} is finished: {outcome.frames:,} frames", soft_wrap=True)
+    if outcome.was_finished and (folder / MEASURED).is_file():
+        entries = read_entries(folder / MEASURED)
+    else:
+        entries = measure_all(cfg, folder)
+        write_entries(folder / MEASURED, entries)
+    draw(cfg, folder)
+    for one in dict.fromkeys((entry["house_set"], entry["n_agents"]) for entry in entries):
+        console.print(make_table([e for e in entries if (e["house_set"], e["n_agents"]) == one]))
+    console.print(f"in {folder}: {', '.join(sorted(f.name for f in folder.iterdir()))}")
+    return entries
+
+
+def train(cfg: DictConfig, folder: Path) -> Outcome:
+    """Train until the budget is spent; the folder is made when everything is built."""
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every buffer it makes
+    torch.manual_seed(cfg.seed)
+    env = build.make_env(cfg)
+    agent = build.make_agent(cfg, env)
+    env = build.ready_for(agent, env)
+    only = {} if plays_houses(cfg) else {"select_by": "return"}  # all that is measured there
+    trainer = instantiate(cfg.trainer, **only)
+    trainer.check(env, agent)
+    if cfg.checkpoint is not None:  # a run that goes on puts its state over these weights
+        build.start_from(agent, cfg)
+    loggers = [instantiate(section, folder=folder) for section in cfg.logger.values()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        files.write_file(folder / CONFIG, [OmegaConf.to_yaml(cfg, resolve=True).encode()])
+    except OSError as error:
+        raise BadInput(f"name={cfg.name}: {folder} cannot be written: {error.strerror}") from error
+    return trainer.train(
+        env,
+        agent,
+        lambda policy: validate(cfg, policy),
+        loggers,
+        folder,
+        start_is_candidate=cfg.checkpoint is not None,
+    )
+
+
+def measure_all(cfg: DictConfig, folder: Path) -> list[Entry]:
+    """Measure the best weights and the planners in all `places`.
+
+    Where training started from another run's weights, these are measured too, as `RUN before`:
+    what was gained in the new houses, and what was forgotten of the old ones.
+    """
+    cfg = cfg.copy()
+    cfg.evaluation.house_set = "test"  # validation houses have chosen the weights
+    policies = {cfg.name: build.load_policy(folder).to(cfg.device)}
+    if cfg.checkpoint is not None:
+        run = find_run(cfg.checkpoint)
+        before = build.load_policy(run, cfg.channel).to(cfg.device)
+        policies[f"{load_config(run)['name']} before"] = before
+    entries = []
+    for place, house_set in places(cfg):
+        mine, *planners = measure_beside_planners(place, policies[cfg.name], cfg.name)
+        before = [
+            measure(place, partial(as_ever, policy), name, epsilon=place.evaluation.epsilon)
+            for name, policy in policies.items()
+            if name != cfg.name
+        ]
+        found = [mine, *before, *planners]
+        entries += [{**entry, "house_set": house_set or entry["house_set"]} for entry in found]
+    return entries
+
+
+def places(cfg: DictConfig) -> list[tuple[DictConfig, str | None]]:
+    """Return `cfg` in its own houses, in those of the run it started from, in each plan, and with
+    each size of team in its own houses.
+
+    Each is there once. Beside it is what its set of houses is called, where `test` would mean two.
+    """
+    found: list[tuple[DictConfig, str | None]] = [(cfg, None)]
+    if not plays_houses(cfg):
+        return found
+    if cfg.checkpoint is not None:
+        stored, old = load_config(find_run(cfg.checkpoint)), cfg.copy()
+        old.house = stored["house"]
+        generated = instantiate(cfg.house).generated and instantiate(old.house).generated
+        found.append((old, f"test of {stored['name']}" if generated else None))
+    found += [(on_plan(cfg, plan), None) for plan in cfg.evaluation.plans]
+    found += [(of_team(cfg, size), None) for size in cfg.evaluation.get("team_sizes", [])]
+    seen = [(place.house, place.env.n_agents) for place, _ in found]
+    return [each for index, each in enumerate(found) if seen[index] not in seen[:index]]
+
+
+def on_plan(cfg: DictConfig, plan: str) -> DictConfig:
+    """Return the same config in the house of a floor plan file."""
+    there = cfg.copy()
+    there.house = compose_config(["house=floorplan", "house.path=apartment"]).house
+    there.house.path = plan
+    return there
+
+
+def of_team(cfg: DictConfig, size: int) -> DictConfig:
+    """Return the same config with another number of robots."""
+    team = cfg.copy()
+    team.env.n_agents = size
+    return team
+
+
+def draw(cfg: DictConfig, folder: Path) -> None:
+    """Draw what is not drawn yet: the learning curve beside nearest_unknown, and an episode.
+
+    Of a task of others the curve alone.
+    """
+    metrics, curve, replay = (folder / name for name in ("metrics.csv", "curve.png", "replay.gif"))
+    if metrics.is_file() and not curve.is_file():
+        draw_curve(metrics, curve, planner_means(cfg) if plays_houses(cfg) else None)
+    if plays_houses(cfg) and not replay.is_file():
+        policy = build.load_policy(folder).to(cfg.device)
+        make_replay(cfg, lambda env: policy, replay, cfg.evaluation.epsilon)
+
+
+def planner_means(cfg: DictConfig) -> dict[str, float]:
+    """Measure nearest_unknown on the validation houses, which the curve is of."""
+    rival = cfg.copy()
+    rival.planner = compose_config(["planner=nearest_unknown"]).planner
+    rival.evaluation.house_set = "validation"
+    summary = measure_planner(rival)["summary"]
+    means = {name: measure["mean"] for name, measure in summary.items()}
+    return {name: mean for name, mean in means.items() if mean is not None}

@@ -1,0 +1,42 @@
+"""`marl-clean watch`: one held-out house, played in the terminal."""
+
+import sys
+import time
+from collections.abc import Callable
+
+from omegaconf import DictConfig
+
+from marl_clean.env.viewer import draw_text
+from marl_clean.report.episode import first_held_out, policy_of, scenes
+
+FRAMES_PER_SECOND = 8.0
+HOME, CLEAR, CLEAR_LINE, CLEAR_BELOW = "\x1b[H", "\x1b[2J", "\x1b[K", "\x1b[J"
+HIDE_CURSOR, SHOW_CURSOR = "\x1b[?25l", "\x1b[?25h"
+
+
+def main(
+    cfg: DictConfig,
+    frames_per_second: float = FRAMES_PER_SECOND,
+    sleep: Callable[[float], None] = time.sleep,
+) -> None:
+    """Play the first held-out house with `cfg.checkpoint`'s policy, or `cfg.planner`.
+
+    Into a file or a pipe goes the last frame alone, as plain text and without delay.
+    """
+    out = sys.stdout
+    moments = scenes(first_held_out(cfg), policy_of(cfg))
+    if not out.isatty():
+        *_, last = moments
+        out.write(draw_text(last, colour=False) + "\n")
+        return
+    out.write(HIDE_CURSOR + CLEAR)
+    try:
+        for scene in moments:
+            # Written over the frame before, line by line: clearing it first would flicker.
+            frame = draw_text(scene).replace("\n", f"{CLEAR_LINE}\n")
+            out.write(f"{HOME}{frame}{CLEAR_LINE}\n{CLEAR_BELOW}")
+            out.flush()
+            sleep(1 / frames_per_second)
+    finally:
+        out.write(SHOW_CURSOR)
+        out.flush()

@@ -1,0 +1,57 @@
+"""Which levels fit each other: asked of their classes, before torch is imported."""
+
+from typing import Any
+
+from omegaconf import DictConfig
+
+from marl_clean.config.compose import SEVERAL, conf_folder, rooms
+from marl_clean.config.schema import constant
+from marl_clean.errors import BadInput
+from marl_clean.settings import Form
+from marl_clean.storage.safe_yaml import load_yaml
+
+
+def check_fit(config: DictConfig) -> None:
+    """Raises BadInput when two levels do not go together.
+
+    A class may say in `fits` which levels of other rooms it goes with; an encoder `takes` the
+    form that the observation, or a task of others, `gives`; only squares can be turned.
+    """
+    targets = {
+        str(room): str(section["_target_"])
+        for room, section in config.items()
+        if _is_level(section)
+    }
+    for room, target in targets.items():
+        fits: dict[str, list[str]] = constant(target, "fits") or {}
+        for other, valid in fits.items():
+            levels = list(config[other]) if other in SEVERAL else [_level(targets[other])]
+            for level in levels:
+                if level not in valid:
+                    fitting = f"{room}={_level(target)}; valid: {', '.join(valid)}"
+                    raise BadInput(f"{other}={level}: does not fit {fitting}")
+    seer = "observation" if constant(targets["env"], "gives") is None else "env"
+    gives, takes = constant(targets[seer], "gives"), constant(targets["encoder"], "takes")
+    given = f"{seer}={_level(targets[seer])} gives {gives.value}"
+    if gives is not takes:
+        raise BadInput(
+            f"encoder={_level(targets['encoder'])}: takes {takes.value}, {given};"
+            f" valid: {', '.join(encoders_of(gives))}"
+        )
+    if gives is not Form.SQUARES and config.agent.get("augment", False):
+        raise BadInput(f"agent.augment=true: turns squares, {given}; valid: false")
+
+
+def encoders_of(form: Form) -> list[str]:
+    """The encoders that take a form of observation."""
+    folder = conf_folder() / "encoder"
+    sections = ((level, load_yaml(folder / f"{level}.yaml")) for level in rooms()["encoder"])
+    return [level for level, section in sections if constant(section["_target_"], "takes") is form]
+
+
+def _is_level(section: Any) -> bool:
+    return isinstance(section, DictConfig) and "_target_" in section
+
+
+def _level(target: str) -> str:
+    return target.split(".")[2]

@@ -1,0 +1,45 @@
+"""What a preset says, apart from any config: to set it on top of a config that has no defaults.
+
+Hydra composes presets with the defaults of `conf/`. On top of an earlier run's config a preset
+must change what it names and nothing else.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from marl_clean.storage.safe_yaml import load_yaml
+
+OVERRIDE = "override /"
+
+
+def read_preset(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The level of each room that a preset's yaml chooses, and the values it sets, in their order.
+
+    Presets that it builds on come first, as in Hydra; they are of its own folder.
+    """
+    values = load_yaml(path)
+    values.pop("hydra", None)  # how it is swept
+    levels: dict[str, Any] = {}
+    sets: list[dict[str, Any]] = []
+    for entry in values.pop("defaults", []):
+        if isinstance(entry, str):
+            chosen, set_before = read_preset(path.with_name(f"{entry}.yaml"))
+            levels |= chosen
+            sets += set_before
+        else:
+            levels |= {key.removeprefix(OVERRIDE): level for key, level in entry.items()}
+    return levels, [*sets, values]
+
+
+def sweep_of(path: Path) -> dict[str, str]:
+    """The values that a preset sweeps its keys over: its `hydra.sweeper.params`, in Hydra's words.
+
+    Those of presets that it builds on count too, where it says nothing else.
+    """
+    values = load_yaml(path)
+    swept: dict[str, str] = {}
+    for entry in values.get("defaults", []):
+        if isinstance(entry, str):
+            swept |= sweep_of(path.with_name(f"{entry}.yaml"))
+    own = values.get("hydra", {}).get("sweeper", {}).get("params", {})
+    return swept | {key: str(value) for key, value in own.items()}

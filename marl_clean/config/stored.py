@@ -1,0 +1,207 @@
+"""The config of an earlier run, as the base of a new one.
+
+A policy fits the config it was trained with: what is evaluated, watched or drawn starts from
+that config, and settings may change the world around the policy but not its network.
+"""
+
+import difflib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from hydra.core.override_parser.types import Override
+from omegaconf import DictConfig
+
+from marl_clean.config.compose import (
+    PERFECT,
+    PRESETS,
+    apply,
+    checked,
+    compose_config,
+    conf_folder,
+    parse_overrides,
+    rooms,
+)
+from marl_clean.config.config_hash import config_hash
+from marl_clean.config.schema import constant, mismatch, parameters
+from marl_clean.errors import BadInput
+from marl_clean.settings import LaterEvaluation, Root
+from marl_clean.storage.manifest import weights_sha256
+from marl_clean.storage.safe_yaml import load_yaml
+
+RUNS = Path("runs")
+CONFIG = "config.yaml"
+NETWORK = ("observation", "encoder", "comm", "agent", "parameter_budget")
+SAME_NETWORK = ("observation.position_noise",)  # of these rooms, but any weights play with it
+BESIDE_THE_WEIGHTS = ("encoder.dropout", "encoder.channels_last")  # how they learn, or are stored
+
+
+def compose_for_policy(overrides: Sequence[str]) -> DictConfig:
+    """The config of `checkpoint`'s run with `overrides` on top; without one, the default's.
+
+    Raises BadInput when there is no such run, its config is not one of ours, or an override
+    would change the network whose weights it holds.
+    """
+    parsed = parse_overrides(overrides)
+    run = _checkpoint_in(parsed)
+    if run is None:
+        return compose_config(overrides)
+    for preset in (o.key_or_group for o in parsed if o.key_or_group in PRESETS):
+        raise BadInput(f"{preset}: a checkpoint brings its own config; leave one of them out")
+    stored = load_config(find_run(run))
+    wanted = apply(stored, parsed)
+    _check_fits(stored, wanted, run)
+    return checked(wanted, parsed)
+
+
+def compose_for_training(overrides: Sequence[str]) -> DictConfig:
+    """What to train: the default config with `overrides`, or that of `checkpoint`'s run.
+
+    The run is named by a setting, or by a preset. Of it everything is taken over that presets and
+    settings do not change, and training starts from its weights: which they are is written down
+    in the config, so that other weights make another run. Settings of learning may change, those
+    of the network may not.
+
+    Raises BadInput as `compose_for_policy` does, and for a run that has no weights yet.
+    """
+    parsed = parse_overrides(overrides)
+    run = _checkpoint_in(parsed)
+    if run is None:
+        config = compose_config(overrides)
+        if config.checkpoint is None:
+            return config
+        run = config.checkpoint
+    folder = find_run(run)
+    stored = load_config(folder)
+    wanted = apply({**stored, "name": None, "out": None}, parsed)
+    _check_fits(stored, wanted, run, learning_may_change=True)
+    found = {"checkpoint": str(folder), "weights": weights_sha256(folder)}
+    return checked({**wanted, **found}, parsed)
+
+
+def _checkpoint_in(parsed: Sequence[Override]) -> str | None:
+    """The run that the settings name, the last of several."""
+    given = [override.value() for override in parsed if override.key_or_group == "checkpoint"]
+    return None if not given or given[-1] is None else str(given[-1])
+
+
+def _check_fits(
+    stored: dict[str, Any], wanted: dict[str, Any], run: str, learning_may_change: bool = False
+) -> None:
+    """Raises BadInput where `wanted` has another network than the run's weights are of.
+
+    A learner's class says in `sized_by` which keys of the env its network depends on.
+    """
+    sized_by = constant(stored["agent"]["_target_"], "sized_by") or []
+    for room in (*NETWORK, "env"):
+        for key, old, new in _differences(stored[room], wanted[room], room):
+            if room == "env":
+                matters = key in sized_by
+            elif learning_may_change:
+                of_learning = room == "agent" and key != "agent.dueling"
+                matters = key not in (*SAME_NETWORK, *BESIDE_THE_WEIGHTS) and not of_learning
+            else:
+                matters = key not in SAME_NETWORK
+            if matters:
+                raise BadInput(
+                    f"{key}: {new} does not fit checkpoint {run}, which was trained with {old}; "
+                    "leave it out"
+                )
+
+
+def find_run(run: str) -> Path:
+    """The folder of a run, given as a path or as a name in runs/. Raises BadInput without one."""
+    for folder in (Path(run), RUNS / run):
+        if (folder / CONFIG).is_file():
+            return folder
+    if Path(run).exists():
+        raise BadInput(f"checkpoint={run}: has no {CONFIG}; give the folder of a run")
+    names = sorted(path.parent.name for path in RUNS.glob(f"*/{CONFIG}"))
+    close = difflib.get_close_matches(run, names, n=1)
+    known = f"did you mean {close[0]}?" if close else f"runs: {', '.join(names[:9]) or 'none yet'}"
+    raise BadInput(f"checkpoint={run}: there is no such run; {known}")
+
+
+def load_config(folder: Path) -> dict[str, Any]:
+    """The checked config of the run in `folder`; it may come from a stranger.
+
+    Keys that came later than the run have the values of their level's yaml, which are what was
+    before there was a key.
+
+    Raises BadInput when it is not a config of this package: other keys or types, classes from
+    elsewhere, or `${...}`, which could read this machine's environment.
+    """
+    path = folder / CONFIG
+    plain = load_yaml(path)
+    if not isinstance(plain, dict) or not all(isinstance(key, str) for key in plain):
+        raise BadInput(f"{path}: not the config of a run; it has no sections")
+    if any("${" in text for text in _texts(plain)):
+        raise BadInput(f"{path}: holds ${{...}}; the config of a run has its values written out")
+    try:
+        plain = _completed(plain)
+        checked(plain)
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from None
+    return plain
+
+
+def _completed(plain: dict[str, Any]) -> dict[str, Any]:
+    """The config with the keys that it may leave out: those with a default, or null at the root."""
+    types = get_type_hints(Root, include_extras=True)
+    whole = {**{key: None for key in types if mismatch(None, types[key]) is None}, **plain}
+    whole = {"channel": PERFECT, **whole}
+    measured = whole.get("evaluation")
+    if isinstance(measured, dict):
+        default = load_yaml(conf_folder() / "config.yaml")["evaluation"]
+        whole["evaluation"] = {key: default[key] for key in get_type_hints(LaterEvaluation)}
+        whole["evaluation"] |= measured
+    for room, levels in rooms().items():
+        section = plain.get(room)
+        if not isinstance(section, dict):
+            continue
+        target = str(section.get("_target_"))
+        parts = target.split(".")
+        if len(parts) == 4 and parts[1] == room and parts[2] in levels:
+            level = load_yaml(conf_folder() / room / f"{parts[2]}.yaml")
+            accepted = parameters(target)
+            optional = [name for name in accepted if name in level and not accepted[name].required]
+            whole[room] = {**{name: level[name] for name in optional}, **section}
+    return whole
+
+
+def check_same_run(config: DictConfig, folder: Path) -> None:
+    """Raises BadInput when `folder` holds a run of another config, naming a key that differs."""
+    if not (folder / CONFIG).is_file():
+        return
+    stored = load_config(folder)
+    mine = {str(key): value for key, value in config.items()}
+    if config_hash(DictConfig(stored)) == config_hash(config):
+        return
+    for room in mine:
+        for key, old, new in _differences(stored.get(room), config[room], room):
+            if key != "name":
+                raise BadInput(
+                    f"name={config.name}: {folder} holds a run with {key}={old}, not {new}; "
+                    "choose another name"
+                )
+
+
+def _differences(old: Any, new: Any, key: str) -> Iterator[tuple[str, Any, Any]]:
+    """(key, old value, new value) of every leaf that is not the same."""
+    if isinstance(old, dict) and isinstance(new, dict | DictConfig):
+        for name in sorted({*old, *new}):
+            yield from _differences(old.get(name), new.get(name), f"{key}.{name}")
+    elif old != new:
+        yield key, old, new
+
+
+def _texts(tree: Any) -> Iterator[str]:
+    if isinstance(tree, dict):
+        for key, value in tree.items():
+            yield from _texts(key)
+            yield from _texts(value)
+    elif isinstance(tree, list):
+        for value in tree:
+            yield from _texts(value)
+    elif isinstance(tree, str):
+        yield tree

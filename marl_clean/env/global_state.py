@@ -1,0 +1,38 @@
+"""The true state of the world, as a transform: known to mixers in learning, and to no robot."""
+
+import torch
+from jaxtyping import Bool
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Binary, TensorSpec
+
+from marl_clean import keys
+from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.env.transform import WorldTransform
+from marl_clean.world.state import State
+
+PLANES = ("blocked", "cleaned", "robots")
+
+
+class GlobalState(WorldTransform):
+    """Adds `"state"`, bool `[*B, 3, R, C]`: where it is blocked, cleaned already, a robot.
+
+    R and C are those of the largest house; a smaller one lies at the top left, blocked around.
+    """
+
+    def read(self, state: State) -> dict[NestedKey, Tensor]:
+        return {keys.STATE: planes(state, self.cleaning.rules.margin)}
+
+    def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:
+        shape = planes(env.state, env.rules.margin).shape
+        return {keys.STATE: Binary(shape=shape, dtype=torch.bool, device=env.device)}
+
+
+def planes(state: State, margin: int) -> Bool[Tensor, "env plane row col"]:
+    """Spread the true state over planes."""
+    inner = slice(margin, -margin)
+    blocked, cleaned = (m[:, inner, inner] for m in (state.blocked, state.visited))
+    robots = torch.zeros_like(blocked)
+    world = torch.arange(len(robots), device=robots.device)[:, None]
+    robots[world, state.position[..., 0], state.position[..., 1]] = True
+    return torch.stack([blocked, cleaned, robots], dim=1)

@@ -1,0 +1,272 @@
+"""Reads floor plans that others made: map_server, MovingAI, plain images.
+
+Every reader returns which cells are free, bool [rows, cols], row 0 at the top. All limits are
+checked before anything is decoded, and whatever is wrong raises BadInput in one line. Torch-free.
+"""
+
+import io
+import logging
+import math
+import os
+import reprlib
+import struct
+import warnings
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import yaml
+from PIL import Image
+
+from marl_clean.errors import BadInput
+from marl_clean.house._plan_files import is_file, read_bytes, read_lines
+from marl_clean.settings import LARGEST_SIDE
+from marl_clean.storage.safe_yaml import check_plain
+
+IMAGE_FORMATS = ("PNG", "PPM", "BMP", "JPEG")
+LARGEST_YAML_BYTES = 16 * 2**10
+DEEPEST_YAML = 3
+STRIP_ROWS = 256
+MAP_SERVER_KEYS = ("image", "resolution", "origin", "occupied_thresh", "free_thresh", "negate")
+WHITE = 3 * 255  # a shade is red + green + blue, so that grey g / 255 is exactly shade / WHITE
+FREE_FROM_GREY = 128
+PASSABLE, IMPASSABLE = b".GS", b"@OTW"
+# What Pillow raises for damaged files, besides OSError for most of them.
+DAMAGED = (OSError, ValueError, SyntaxError, EOFError, IndexError, struct.error, zlib.error)
+TOO_LARGE = (Image.DecompressionBombWarning, Image.DecompressionBombError)
+
+
+def read_map_server(file: Path, cell_metres: float) -> np.ndarray:
+    """A map_server yaml and its image, cut into cells of `cell_metres`, see `to_cells`.
+
+    With p = 1 - grey/255 (grey/255 when `negate`): occupied when p >= `occupied_thresh`, free
+    when p <= `free_thresh`, else unknown; a pixel with alpha below 255 is unknown. Colours count
+    by their mean. Mode `scale` grades only what is neither free nor occupied, so it reads like
+    `trinary`; `raw` is refused. `image` is a path relative to the yaml, inside its folder.
+    """
+    settings = _map_server_settings(file)
+    mode = settings.get("mode", "trinary")
+    if mode not in ("trinary", "scale"):
+        raise BadInput(f"{file}: mode {reprlib.repr(mode)}; valid: trinary, scale")
+    resolution = _number(file, "resolution", settings["resolution"])
+    if resolution <= 0:
+        raise BadInput(f"{file}: resolution {resolution}; metres a pixel, above 0")
+    _warn_of_yaw(file, settings["origin"])
+    shade, opaque = read_pixels(_image_of(file, settings["image"]))
+    darkness = np.arange(WHITE + 1) / WHITE
+    if not _flag(file, "negate", settings["negate"]):
+        darkness = 1 - darkness
+    occupied = darkness >= _share(file, "occupied_thresh", settings["occupied_thresh"])
+    free = darkness <= _share(file, "free_thresh", settings["free_thresh"])
+    return to_cells(file, free[shade] & opaque, occupied[shade] & opaque, resolution, cell_metres)
+
+
+def read_movingai(file: Path) -> np.ndarray:
+    """A MovingAI `.map`: one character one cell, the first character is row 0, column 0.
+
+    `type`, `height R`, `width C`, `map`, then R rows of C characters: `.` `G` `S` passable,
+    `@` `O` `T` `W` not.
+    """
+    lines = read_lines(file)
+    header = [line.split() for line in lines[:4]]
+    if [words[0] if words else b"" for words in header] != [b"type", b"height", b"width", b"map"]:
+        raise BadInput(f"{file}, line 1: not MovingAI; lines type, height, width, map come first")
+    rows, cols = (_side(file, number, header[number - 1]) for number in (2, 3))
+    body = lines[4:]
+    if len(body) != rows:
+        raise BadInput(f"{file}, line 2: height {rows}, but {len(body)} rows follow")
+    for number, line in enumerate(body, start=5):
+        if len(line) != cols:
+            raise BadInput(f"{file}, line {number}: {len(line)} characters, but width {cols}")
+    grid = np.frombuffer(b"".join(body), dtype=np.uint8).reshape(rows, cols)
+    unknown = np.argwhere(~np.isin(grid, list(PASSABLE + IMPASSABLE)))
+    if len(unknown):
+        row, col = unknown[0]
+        raise BadInput(
+            f"{file}, line {row + 5}, column {col + 1}: {chr(grid[row, col])!r}; "
+            "valid: . G S passable, @ O T W not"
+        )
+    return np.isin(grid, list(PASSABLE))
+
+
+def read_image(file: Path, cell_metres: float, pixel_metres: float | None) -> np.ndarray:
+    """A plain image: free where the mean of the colours is at least 128 of 255, and opaque.
+
+    A pixel is a cell; with `pixel_metres` the image is cut into cells of `cell_metres` instead.
+    """
+    shade, opaque = read_pixels(file)
+    free = (shade >= 3 * FREE_FROM_GREY) & opaque
+    if pixel_metres is None:
+        return free
+    return to_cells(file, free, ~free, pixel_metres, cell_metres)
+
+
+def to_cells(
+    file: Path, free: np.ndarray, occupied: np.ndarray, resolution: float, cell_metres: float
+) -> np.ndarray:
+    """Cuts an image of `resolution` metres a pixel into cells.
+
+    Cells are anchored at the image's lower left corner and have the pixels whose centres lie in
+    them; cells cut by the edge are dropped. A cell is free when at least half of its pixels are
+    free and none is occupied. Where cells are finer than pixels, the pixel under the cell's
+    centre decides. Raises BadInput for no whole cell, or too many.
+    """
+    # Exact fractions of the decimals as written: no centre falls off its cell by rounding.
+    step = Fraction(str(cell_metres)) / Fraction(str(resolution))  # pixels along a cell
+    rows, cols = (int(side // step) for side in free.shape)
+    if not 1 <= min(rows, cols) <= max(rows, cols) <= LARGEST_SIDE:
+        raise BadInput(
+            f"{file}: {free.shape[0]} x {free.shape[1]} pixels of {resolution} m make "
+            f"{rows} x {cols} cells of {cell_metres} m; 1 to {LARGEST_SIDE} a side are valid, "
+            "see house.cell_metres"
+        )
+    free, occupied = free[::-1], occupied[::-1]  # from the bottom row up
+    if step <= 1:
+        under = np.ix_(_pixels_under_centres(rows, step), _pixels_under_centres(cols, step))
+        return (free[under] & ~occupied[under])[::-1]
+    bottoms = np.array(_first_pixels(rows + 1, step))
+    *lefts, right = _first_pixels(cols + 1, step)
+    cells = np.empty((rows, cols), dtype=bool)
+    strip = max(1, int(STRIP_ROWS // step))
+    for first in range(0, rows, strip):  # a strip at a time, for memory
+        edges = bottoms[first : first + strip + 1]
+        part = slice(edges[0], edges[-1]), slice(right)
+        # Free pixels vote 1, others -1, and one that is occupied outvotes all.
+        votes = np.where(occupied[part], -free.size, np.where(free[part], 1, -1))
+        votes = np.add.reduceat(votes, edges[:-1] - edges[0], axis=0)
+        cells[first : first + strip] = np.add.reduceat(votes, lefts, axis=1) >= 0
+    return cells[::-1]
+
+
+def read_pixels(file: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Shade 0 black to 765 white, uint16, and whether opaque, bool, both [height, width].
+
+    Raises BadInput for no image, a damaged one, or one that is larger than the limits.
+    """
+    content = io.BytesIO(read_bytes(file))
+    with _one_line(file):
+        image = Image.open(content, formats=IMAGE_FORMATS)  # the header only
+    if max(image.size) > LARGEST_SIDE:
+        raise BadInput(
+            f"{file}: {image.size[1]} x {image.size[0]} pixels (height x width); "
+            f"at most {LARGEST_SIDE} a side are read"
+        )
+    with _one_line(file):
+        return _shade(image)
+
+
+@contextmanager
+def _one_line(file: Path) -> Iterator[None]:
+    """Turns what Pillow raises into BadInput, and what it only warns of into nothing."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            yield
+    except TOO_LARGE as error:
+        raise BadInput(f"{file}: at most {LARGEST_SIDE} pixels a side are read") from error
+    except DAMAGED as error:
+        formats = ", ".join(IMAGE_FORMATS)
+        raise BadInput(f"{file}: not an image, or a damaged one; valid: {formats}") from error
+
+
+def _shade(image: Image.Image) -> tuple[np.ndarray, np.ndarray]:
+    if image.mode == "F":
+        raise ValueError("an image of floats")
+    width, height = image.size
+    if image.mode.startswith("I"):  # 16 bits
+        grey = np.asarray(image).astype(np.int64).clip(0, 65535)
+        return (grey * WHITE // 65535).astype(np.uint16), np.ones(grey.shape, dtype=bool)
+    shade = np.empty((height, width), dtype=np.uint16)
+    opaque = np.empty((height, width), dtype=bool)
+    for top in range(0, height, STRIP_ROWS):  # four bytes a pixel only for a strip at a time
+        strip = slice(top, min(top + STRIP_ROWS, height))
+        part = image.crop((0, strip.start, width, strip.stop)).convert("RGBA")
+        red, green, blue, alpha = np.moveaxis(np.asarray(part), 2, 0)
+        np.add(red, green, out=shade[strip], dtype=np.uint16)
+        shade[strip] += blue
+        np.equal(alpha, 255, out=opaque[strip])
+    return shade, opaque
+
+
+def _first_pixels(count: int, step: Fraction) -> list[int]:
+    """For each cell the first pixel whose centre lies at or after the cell's lower edge."""
+    return [math.ceil(cell * step - Fraction(1, 2)) for cell in range(count)]
+
+
+def _pixels_under_centres(count: int, step: Fraction) -> list[int]:
+    """For each cell the pixel under its centre."""
+    return [math.floor((cell + Fraction(1, 2)) * step) for cell in range(count)]
+
+
+def _map_server_settings(file: Path) -> dict[str, object]:
+    """The yaml as text, lists and mappings: no tags, no anchors, nothing is constructed."""
+    try:
+        text = read_bytes(file, LARGEST_YAML_BYTES).decode("utf-8")
+        check_plain(text, file, DEEPEST_YAML)
+        # The base loader knows less than the safe one: every scalar stays text.
+        settings = yaml.load(text, Loader=yaml.BaseLoader)
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise BadInput(f"{file}: not yaml ({' '.join(str(error).split())})") from error
+    if not isinstance(settings, dict):
+        raise BadInput(f"{file}: not a map_server yaml; keys: {', '.join(MAP_SERVER_KEYS)}")
+    missing = [key for key in MAP_SERVER_KEYS if key not in settings]
+    if missing:
+        raise BadInput(f"{file}: map_server's key {', '.join(missing)} is missing")
+    return settings
+
+
+def _number(file: Path, key: str, value: object) -> float:
+    try:
+        number = float(value) if isinstance(value, str) else math.nan
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise BadInput(f"{file}: {key} {reprlib.repr(value)} is not a number")
+    return number
+
+
+def _share(file: Path, key: str, value: object) -> float:
+    number = _number(file, key, value)
+    if not 0 <= number <= 1:
+        raise BadInput(f"{file}: {key} {number} is not between 0 and 1")
+    return number
+
+
+def _flag(file: Path, key: str, value: object) -> bool:
+    flags = {"0": False, "1": True, "false": False, "true": True}
+    if not isinstance(value, str) or value.lower() not in flags:
+        raise BadInput(f"{file}: {key} {reprlib.repr(value)}; valid: 0, 1, false, true")
+    return flags[value.lower()]
+
+
+def _warn_of_yaw(file: Path, origin: object) -> None:
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise BadInput(f"{file}: origin {reprlib.repr(origin)} is not [x, y, yaw]")
+    yaw = [_number(file, "origin", value) for value in origin][2]
+    if yaw != 0:
+        logging.getLogger(__name__).warning("%s: the yaw of %s is ignored", file, yaw)
+
+
+def _image_of(file: Path, name: object) -> Path:
+    if not isinstance(name, str) or not name or "\0" in name:
+        raise BadInput(f"{file}: image {reprlib.repr(name)} is not a file name")
+    folder = Path(os.path.realpath(file.parent))
+    image = Path(os.path.realpath(folder / name))
+    if not image.is_relative_to(folder):
+        raise BadInput(f"{file}: image {reprlib.repr(name)} lies outside the yaml's folder")
+    if not is_file(image):
+        raise BadInput(f"{file}: image {reprlib.repr(name)} is missing; expected at {image}")
+    return image
+
+
+def _side(file: Path, number: int, words: list[bytes]) -> int:
+    name, *values = words
+    digits = values[0] if len(values) == 1 else b""
+    side = int(digits) if digits.isdigit() and len(digits) <= len(str(LARGEST_SIDE)) else 0
+    if not 1 <= side <= LARGEST_SIDE:
+        raise BadInput(f"{file}, line {number}: {name.decode()} must be 1 to {LARGEST_SIDE}")
+    return side

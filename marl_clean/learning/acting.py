@@ -1,0 +1,114 @@
+"""What several learners share: reading and writing what networks and losses take of a frame."""
+
+from collections.abc import Sequence
+
+from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.data import Composite
+from torchrl.envs import TensorDictPrimer
+
+from marl_clean import keys
+from marl_clean.comm.base import Talk
+from marl_clean.learning.networks import RobotsNetwork
+
+TOLD = (keys.MESSAGE, keys.MESSAGE_EDGES, keys.MESSAGE_BITS)
+
+
+def entries(network: RobotsNetwork, frame: TensorDictBase) -> list[Tensor]:
+    """Return what the network takes, in its order; zeros for what no step has carried yet."""
+    found = [frame.get(key) for key in network.sees]
+    if network.carries and found[-1] is None:
+        specs = network.state_specs(frame.get(keys.ADJACENCY).shape[-1])
+        begin = [specs[key].zero(frame.batch_size).to(frame.device) for key in network.carries]
+        found[-len(begin) :] = begin
+    return found
+
+
+def primer(network: RobotsNetwork, n_agents: int) -> TensorDictPrimer:
+    """Return TorchRL's transform that lets the episodes of an env begin with nothing carried."""
+    specs = Composite({keys.AGENTS: Composite(shape=(n_agents,))})
+    specs.update(network.state_specs(n_agents))
+    return TensorDictPrimer(specs, default_value=0.0, expand_specs=True)
+
+
+def note_carried(
+    frame: TensorDictBase, carries: Sequence[NestedKey], carried: Sequence[Tensor]
+) -> None:
+    """Write what is carried to where the next frame will have it."""
+    for key, value in zip(carries, carried, strict=True):
+        frame.set(("next", key), value)
+
+
+def note_talk(frame: TensorDictBase, talk: Talk) -> None:
+    """Write what was said, and what it cost."""
+    for key, value in zip(TOLD, (talk.message, talk.edges, talk.bits), strict=True):
+        frame.set(key, value)
+
+
+def give_robots_endings(frames: TensorDictBase) -> None:
+    """Write for each robot that it ended when its world did, `[*B, agent, 1]`."""
+    shape = frames["next", keys.REWARD].shape
+    for key in (keys.DONE, keys.TERMINATED):
+        frames["next", keys.AGENTS, key] = frames["next", key].unsqueeze(-1).expand(shape)
+
+
+def take_team_reward(frames: TensorDictBase) -> None:
+    """Write what the team is paid, `[*B, 1]`: under `reward=team` it is the same for each robot."""
+    frames["next", "reward"] = frames["next", keys.REWARD][..., 0, :]
+    frames[keys.STEPS_TO_NEXT_OBS] = frames[keys.STEPS_TO_NEXT_OBS].unsqueeze(-1)
+
+
+class Greedy(TensorDictModuleBase):
+    """Every robot's best action, by values or by logits: what TorchRL calls a Q-value actor.
+
+    One module in the place of three (network, choice, their sequence): a third of their time
+    outside of the network, which counts where the network is small.
+
+    Args:
+        network: values, or logits, of the robots' actions.
+        n_agents: robots in a world.
+        plays: it acts in an env, so what the network carries is written into the next frame;
+            otherwise it learns, from frames that hold what was carried.
+        tells: it writes down what was said, too.
+        repeats: a frame that holds what was said is heard as it was then.
+    """
+
+    def __init__(
+        self,
+        network: RobotsNetwork,
+        n_agents: int,
+        plays: bool,
+        tells: bool,
+        repeats: bool = False,
+    ) -> None:
+        super().__init__()
+        self.network, self.tells, self.plays, self.repeats = network, tells, plays, repeats
+        self.n_agents = n_agents
+        self.in_keys = list(network.sees)
+        self.out_keys = [keys.ACTION, keys.ACTION_VALUE, keys.CHOSEN_ACTION_VALUE]
+        if tells:
+            self.out_keys += TOLD
+        if plays:
+            self.out_keys += [("next", key) for key in network.carries]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        seen = entries(self.network, tensordict)
+        said = tensordict.get(keys.MESSAGE) if self.repeats else None
+        if not self.plays and keys.IS_INIT in tensordict.keys():
+            value = self.network.unroll(tensordict.get(keys.IS_INIT), *seen, said=said)
+        else:
+            value, talk, carried = self.network(*seen, said=said)
+            if self.plays:
+                note_carried(tensordict, self.network.carries, carried)
+            if self.tells:
+                note_talk(tensordict, talk)
+        chosen, action = value.max(-1, keepdim=True)
+        tensordict.set(keys.ACTION_VALUE, value)
+        tensordict.set(keys.CHOSEN_ACTION_VALUE, chosen)
+        tensordict.set(keys.ACTION, action.squeeze(-1))
+        return tensordict
+
+    def make_tensordict_primer(self) -> TensorDictPrimer:
+        """Return the transform by which an env begins episodes with what the network carries."""
+        return primer(self.network, self.n_agents)

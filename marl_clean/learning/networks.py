@@ -1,0 +1,272 @@
+"""The networks from what robots see to action values, that several learners share."""
+
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+
+import torch
+from jaxtyping import Bool, Float, Int, Shaped
+from tensordict.utils import NestedKey, expand_as_right
+from torch import Tensor, nn
+from torchrl.data import TensorSpec, Unbounded
+
+from marl_clean import keys
+from marl_clean.channel.base import Channel
+from marl_clean.channel.delayed import Later
+from marl_clean.channel.perfect import Perfect
+from marl_clean.comm.base import Comm, Delivery, NoisyWhileLearning, Talk
+from marl_clean.encoder.base import Encoder
+from marl_clean.learning.crossing import Crossing, Repeated
+from marl_clean.settings import Precision
+
+Carried = tuple[Tensor, ...]  # from one step to the next, in the order of `carries`
+
+NUM_ACTIONS = 4
+"""Up, right, down, left (paper §3.2); there is no way to stay."""
+
+
+def duel(value: Float[Tensor, "*batch one_and_actions"]) -> Float[Tensor, "*batch action"]:
+    """Join a state's value and its actions' advantages: V + A_a - mean over a' of A_a'.
+
+    Source: dueling networks, arXiv 1511.06581.
+    """
+    advantage = value[..., 1:]
+    return value[..., :1] + advantage - advantage.mean(-1, keepdim=True)
+
+
+def noisy_parts(network: nn.Module) -> list[nn.Module]:
+    """Return the parts that draw while the network learns, and only then."""
+    return [m for m in network.modules() if isinstance(m, nn.Dropout | NoisyWhileLearning)]
+
+
+def set_noise(parts: Iterable[nn.Module], active: bool) -> None:
+    """Let noisy parts draw, or be functions of their input."""
+    for part in parts:
+        part.train(active)
+
+
+class RobotsNetwork(nn.Module):
+    """What every robot makes of what it sees and hears: encoder, talk, head (paper figure 4).
+
+        h_i = encoder(o_i), with memory GRU(encoder(o_i), h_i of the step before)
+        out_i = head(comm(h, who hears whom, over the channel)_i)
+
+    All robots share the weights, so any number of robots fits. `precision` is that of the
+    encoder's arithmetic, where the time goes; messages and outputs stay float32.
+
+    Attributes:
+        sees: where a frame holds what `forward` takes, in its order.
+        carries: the keys among them that it makes itself for the next step: a robot's memory,
+            messages under way, the channel's state. An episode begins with zeros.
+        history: how many steps gradients go back at least; then it learns from frames in a row.
+    """
+
+    def __init__(
+        self,
+        encoder: Encoder,
+        comm: Comm,
+        outputs: int,
+        precision: Precision,
+        channels: Mapping[str, Channel],
+    ) -> None:
+        super().__init__()
+        self.encoder = encoder
+        self.comm = comm
+        self.reduced = precision == "bfloat16"
+        self.head = nn.Linear(comm.out_features, outputs)
+        ways = {name: way for name, way in channels.items() if not isinstance(way, Perfect)}
+        if comm.delay_steps:
+            ways = {"later": Later(comm.delay_steps, tuple(comm.message_dims)), **ways}
+        self.channel = nn.ModuleDict(ways if comm.rounds else {})
+        self.ways: list[Channel] = list(self.channel.values())  # type: ignore[arg-type]
+        self._look_through()
+
+    @property
+    def unrolls(self) -> bool:
+        """Whether it learns from frames in a row."""
+        return self.history > 0
+
+    def put_behind(self, way: Channel) -> None:
+        """Let messages cross one more channel, nearest to the hearer; nothing of it is kept."""
+        self.ways.append(way)
+        self._look_through()
+
+    def _look_through(self) -> None:
+        """Find out what the channels need of a frame."""
+        self.draws = any(way.draws for way in self.ways)
+        memory = () if self.encoder.memory is None else (keys.HIDDEN,)
+        self.carries = (*memory, *(way.remembers for way in self.ways if way.remembers is not None))
+        drawn = (keys.CHANNEL_SEED,) if self.draws else ()
+        self.sees = (keys.OBSERVATION, keys.ADJACENCY, keys.DISTANCE_RANK, *drawn, *self.carries)
+        self.history = max(len(memory), sum(way.steps_late for way in self.ways))
+
+    def state_specs(self, n_agents: int) -> dict[NestedKey, TensorSpec]:
+        """Return the spec of each key of `carries`, without batch."""
+        specs = {}
+        if self.encoder.memory is not None:
+            specs[keys.HIDDEN] = Unbounded(shape=(n_agents, self.encoder.memory.hidden_size))
+        for way in self.ways:
+            if way.remembers is not None:
+                dims = tuple(self.comm.message_dims)
+                specs[way.remembers] = way.state_spec(n_agents, dims)
+        return specs
+
+    def forward(
+        self,
+        observation: Float[Tensor, "..."],
+        adjacency: Bool[Tensor, "*batch agent agent"],
+        distance_rank: Int[Tensor, "*batch agent agent"],
+        *others: Shaped[Tensor, "..."],
+        said: Float[Tensor, "*batch agent message"] | None = None,
+    ) -> tuple[Float[Tensor, "*batch agent out"], Talk, Carried]:
+        """Return the outputs, what was said, and what is carried to the next step.
+
+        `observation` is [*batch, agent, ...], as the encoder takes it; `others` are the channel's
+        seeds, if it draws, and what is carried from the step before. With `said`, these messages
+        go on their way, whatever the robots would say.
+        """
+        feature = self.encode(observation)
+        return self.decide(feature, adjacency, distance_rank, *others, said=said)
+
+    def encode(self, observation: Float[Tensor, "..."]) -> Float[Tensor, "*batch agent feature"]:
+        with torch.autocast(observation.device.type, torch.bfloat16, enabled=self.reduced):
+            feature = self.encoder(observation)
+        return feature.float()
+
+    def decide(
+        self,
+        feature: Float[Tensor, "*batch agent feature"],
+        adjacency: Bool[Tensor, "*batch agent agent"],
+        distance_rank: Int[Tensor, "*batch agent agent"],
+        *others: Shaped[Tensor, "..."],
+        said: Float[Tensor, "*batch agent message"] | None = None,
+    ) -> tuple[Float[Tensor, "*batch agent out"], Talk, Carried]:
+        """Return what `forward` does, from features of the encoder."""
+        given = list(others)
+        seed = given.pop(0) if self.draws else None
+        carried: list[Tensor] = []
+        if self.encoder.memory is not None:
+            flat = feature.flatten(0, -2), given.pop(0).flatten(0, -2)
+            feature = self.encoder.memory(*flat).unflatten(0, feature.shape[:-1])
+            carried.append(feature)
+        states = [None if way.remembers is None else given.pop(0) for way in self.ways]
+        rounds = self.comm.rounds
+        gated = self.comm.gated
+        crossing = Crossing(self.ways, adjacency, distance_rank, rounds, seed, states, gated)
+        dims = self.comm.message_dims[:rounds]
+        way: Delivery = crossing if said is None else Repeated(crossing, said, dims)
+        talk = self.comm(feature, adjacency, distance_rank, way)
+        return self.out(talk.feature), talk, (*carried, *crossing.states_after())
+
+    def unroll(
+        self,
+        begins: Bool[Tensor, "*batch time 1"],
+        observation: Float[Tensor, "..."],
+        adjacency: Bool[Tensor, "*batch time agent agent"],
+        distance_rank: Int[Tensor, "*batch time agent agent"],
+        *others: Shaped[Tensor, "..."],
+        said: Float[Tensor, "*batch time agent message"] | None = None,
+    ) -> Float[Tensor, "*batch time agent out"]:
+        """Return the outputs over frames in a row; gradients cross from frame to frame.
+
+        What is carried comes from the first frame as it was played, and from then on is made anew
+        with the present weights; where an episode `begins` it is zeros.
+        """
+        feature = self.encode(observation)
+        time = begins.ndim - 2
+        drawn = others[: len(others) - len(self.carries)]
+        carried: Carried = tuple(o.select(time, 0) for o in others[len(drawn) :])
+        outputs = []
+        for t in range(begins.shape[time]):
+            if t > 0:
+                fresh = begins.select(time, t).squeeze(-1)
+                carried = tuple(
+                    torch.where(expand_as_right(fresh, c), torch.zeros_like(c), c) for c in carried
+                )
+            now = (x.select(time, t) for x in (feature, adjacency, distance_rank, *drawn))
+            repeated = None if said is None else said.select(time, t)
+            out, _, carried = self.decide(*now, *carried, said=repeated)
+            outputs.append(out)
+        return torch.stack(outputs, dim=time)
+
+    def out(
+        self, feature: Float[Tensor, "*batch agent joined"]
+    ) -> Float[Tensor, "*batch agent out"]:
+        """Return the head's outputs."""
+        return self.head(feature)
+
+
+class QNetwork(RobotsNetwork):
+    """Values of every robot's actions.
+
+    plain:   Q(o, a) = head(h')_a
+    dueling: Q(o, a) = V(h') + A(h')_a - mean over a' of A(h')_a'      (arXiv 1511.06581)
+    """
+
+    def __init__(
+        self,
+        encoder: Encoder,
+        comm: Comm,
+        dueling: bool,
+        precision: Precision,
+        num_actions: int = NUM_ACTIONS,
+        channels: Mapping[str, Channel] = MappingProxyType({}),
+    ) -> None:
+        super().__init__(encoder, comm, num_actions + dueling, precision, channels)
+        self.dueling = dueling
+
+    def out(
+        self, feature: Float[Tensor, "*batch agent joined"]
+    ) -> Float[Tensor, "*batch agent action"]:
+        value = self.head(feature)
+        return duel(value) if self.dueling else value
+
+
+class JointQNetwork(nn.Module):
+    """Values of the 4^n joint actions of n robots, from all that they see (paper §3.4, approach 1).
+
+        h = [encoder(o_1), ..., encoder(o_n)],    Q(o, a_1 ... a_n) = head(relu(W h))
+
+    One encoder looks at every robot's square; what it makes of them is joined in the robots'
+    order, so the network is for this number of robots. `dueling` and `precision` as in `QNetwork`.
+    """
+
+    def __init__(
+        self,
+        encoder: Encoder,
+        width: int,
+        n_agents: int,
+        outputs: int,
+        dueling: bool,
+        precision: Precision,
+    ) -> None:
+        super().__init__()
+        self.encoder = encoder
+        self.dueling = dueling
+        self.reduced = precision == "bfloat16"
+        hidden = 2 * width  # as much as two robots' features, whatever their number
+        self.join = nn.Sequential(nn.Linear(n_agents * width, hidden), nn.ReLU())
+        self.head = nn.Linear(hidden, outputs + dueling)
+
+    def forward(self, observation: Float[Tensor, "..."]) -> Float[Tensor, "*batch joint_action"]:
+        with torch.autocast(observation.device.type, torch.bfloat16, enabled=self.reduced):
+            feature = self.encoder(observation)
+        value = self.head(self.join(feature.float().flatten(-2)))
+        return duel(value) if self.dueling else value
+
+
+def encode_joint(
+    action: Int[Tensor, "*batch agent"], num_actions: int = NUM_ACTIONS
+) -> Int[Tensor, "*batch"]:
+    """Number a joint action in base `num_actions`, robot 0 the lowest digit."""
+    return (action * _digits(action.shape[-1], num_actions, action.device)).sum(-1)
+
+
+def decode_joint(
+    joint: Int[Tensor, "*batch"], n_agents: int, num_actions: int = NUM_ACTIONS
+) -> Int[Tensor, "*batch agent"]:
+    """Return every robot's action of a numbered joint action; undoes `encode_joint`."""
+    return joint.unsqueeze(-1) // _digits(n_agents, num_actions, joint.device) % num_actions
+
+
+def _digits(n_agents: int, num_actions: int, device: torch.device) -> Int[Tensor, " agent"]:
+    return num_actions ** torch.arange(n_agents, device=device)

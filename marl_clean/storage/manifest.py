@@ -1,0 +1,104 @@
+"""The manifest that proves a checkpoint, and which checkpoints a run has; without torch.
+
+A checkpoint is a folder `<kind>-<frames>` of tensors.safetensors, state.json and manifest.json;
+the manifest holds length and sha256 of the other two.
+"""
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from marl_clean.errors import BadInput
+from marl_clean.storage import files
+
+FOLDER = "checkpoints"
+TENSORS, STATE, MANIFEST = "tensors.safetensors", "state.json", "manifest.json"
+OF_WEIGHTS = ("best", "final")  # the kinds that hold weights alone, in the order of preference
+SCHEMA = 1
+LARGEST_JSON = 16 << 20
+NAME = re.compile(r"([a-z]+)-(\d{12})")
+
+
+class Damaged(Exception):
+    """A checkpoint that is not what was written; the message says in which way."""
+
+
+def paths(folder: Path, kind: str | None = None) -> list[Path]:
+    """The checkpoints of a kind, or of all, in a folder, newest first."""
+    matches = ((NAME.fullmatch(path.name), path) for path in folder.glob("*-*"))
+    found = [(m[2], m[1], path) for m, path in matches if m and kind in (None, m[1])]
+    return [path for _, _, path in sorted(found, reverse=True)]
+
+
+def verify(path: Path) -> dict[str, files.Digest]:
+    """Hold every file against the manifest; return what each is.
+
+    Raises Damaged where one is not what was written.
+    """
+    manifest = read_json(path / MANIFEST)
+    found = {}
+    for name in (TENSORS, STATE):
+        if (path / name).is_symlink() or not (path / name).is_file():
+            raise Damaged(f"{name} is missing")
+        found[name] = files.digest_of(path / name)
+    if make_manifest(found) != canonical(manifest):
+        raise Damaged("the manifest does not hold")
+    return found
+
+
+def weights_sha256(run: Path) -> str:
+    """The sha256 of the weights that a run's policy has: the best, else the last.
+
+    Raises BadInput where it has none that are whole.
+    """
+    for kind in OF_WEIGHTS:
+        for path in paths(run / FOLDER, kind):
+            try:
+                return verify(path)[TENSORS].sha256
+            except Damaged:
+                continue
+    raise BadInput(f"{run}: has no whole weights yet; train it until its first evaluation")
+
+
+def count_weights(run: Path) -> int | None:
+    """How many numbers the weights of a run's policy are; None where it has no readable ones."""
+    for kind in OF_WEIGHTS:
+        for path in paths(run / FOLDER, kind):
+            try:
+                with (path / TENSORS).open("rb") as file:
+                    length = int.from_bytes(file.read(8), "little")
+                    header = json.loads(file.read(min(length, LARGEST_JSON)))
+                shapes = [
+                    about["shape"] for name, about in header.items() if name != "__metadata__"
+                ]
+                return sum(math.prod(shape) for shape in shapes)
+            except (OSError, ValueError, TypeError, KeyError, AttributeError):
+                continue
+    return None
+
+
+def make_manifest(digests: Mapping[str, files.Digest]) -> bytes:
+    """The manifest's content."""
+    described = {name: asdict(digest) for name, digest in digests.items()}
+    return canonical({"schema": SCHEMA, "files": described})
+
+
+def canonical(tree: Any) -> bytes:
+    """JSON of which there is one for each tree."""
+    return json.dumps(tree, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+
+def read_json(path: Path) -> Any:
+    """The tree in a JSON file of bounded size. Raises Damaged where there is none."""
+    if path.is_symlink() or not path.is_file():
+        raise Damaged(f"{path.name} is missing")
+    if path.stat().st_size > LARGEST_JSON:
+        raise Damaged(f"{path.name} is longer than {LARGEST_JSON} bytes")
+    try:
+        return json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise Damaged(f"{path.name} is not JSON") from error

@@ -1,0 +1,291 @@
+"""The commands: exit codes, one line for bad input, and nothing left behind."""
+
+import math
+import os
+import resource
+import signal
+import subprocess
+import sys
+import types
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+
+import pytest
+
+from marl_clean import __version__, cli
+from marl_clean.commands import checks, listing
+from marl_clean.commands.sweep import named_jobs
+from marl_clean.config.compose import conf_folder, parse_overrides, rooms
+from marl_clean.config.presets import sweep_of
+from marl_clean.config.stored import load_config
+
+SWEEPING = [
+    path.stem for path in sorted((conf_folder() / "experiment").glob("*.yaml")) if sweep_of(path)
+]
+
+# Through the command line for real: (arguments, what the one line names).
+BAD_COMMANDS = {
+    "trian": "did you mean train?",
+    "train house=drawn house.path=nowhere.txt": "house.path",
+    "train house=floorplan house.path=broken.yaml": "missing.pgm",
+    "train env.n_agents=99": "env.n_agents",
+    "train house=drawn house.path=walls.txt": "no free cell",
+    "evaluate checkpoint=nowhere": "checkpoint=nowhere",
+}
+# The same, in one interpreter.
+MORE_BAD_COMMANDS = {
+    "train --foo": "--foo",
+    "train observation.view_size=14": "13 and 15",
+    "train env.n_agents=0": "env.n_agents",
+    "train observation=distances": "encoder=cnn: takes squares, observation=distances gives a",
+    "train encoder=mlp": "valid: cnn",
+    "train -m observation=crop,distances": "encoder=cnn",
+    "train observation=distances encoder=mlp agent.augment=true": "agent.augment",
+    "train observation=global_map house.rows=[5,14]": "observation.largest_side=10",
+    "train observation=global_map": "evaluation.plans",
+    "evaluate observation=global_map house=drawn": "observation.largest_side=10",
+    "train observation.position_noise=1.5": "observation.position_noise",
+    "train env.bump_noise=-1": "env.bump_noise",
+    "figure paper_2 observation=distances": "observation=distances",
+    "benchmark observation=global_map": "observation=global_map",
+    "train agent.lr=abc": "agent.lr",
+    "train agent.lrr=1": "did you mean lr?",
+    "train house=rooms house.rows=[3,3] house.cols=[3,3]": "house.rows",
+    "train -m seed=1,x": "seed",
+    "train -m seed=interval(0,1)": "seed",
+    "train -m comm=plan,plam": "did you mean plan?",
+    "train -m +experiment=comm_comparison,quick": "experiment: comm_comparison is a sweep",
+    "train evaluation.team_sizes=[2,0]": "evaluation.team_sizes",
+    "train evaluation.team_sizes=[99]": "evaluation.team_sizes: 99: ",
+    "train -m evaluation.team_sizes=[99] seed=1,2": "evaluation.team_sizes: 99: ",
+    "train +experiment=paper_central evaluation.team_sizes=[3]": "agent=central_dqn is of env.n",
+    "train +experiment=spread evaluation.team_sizes=[3]": "a task of others; valid: []",
+    "train -m agent.lr=1,2 sed=3": "did you mean seed?",
+    "evaluate out=.": "out=.",
+    "evaluate out=walls.txt/x.json": "walls.txt",
+    "evaluate env.n_agents=99": "env.n_agents",
+    "watch planner=nobody": "planner=nobody",
+    "figure": "NAME",
+    "figure seed=1": "name a figure",
+    "figure paper_9": "paper_2",
+    "benchmark seed=x": "seed",
+    "list seed=1": "seed=1",
+    "doctor now": "now",
+}
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with three plans that cannot be used."""
+    monkeypatch.chdir(tmp_path)
+    Path("walls.txt").write_text("####\n####\n")
+    Path("broken.yaml").write_text(
+        "image: missing.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    return tmp_path
+
+
+def files_in(place: Path) -> set[str]:
+    return {path.name for path in place.iterdir()}
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "marl_clean", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.mark.parametrize("command", BAD_COMMANDS)
+def test_bad_input_is_one_line_and_exit_2_within_3_seconds(place: Path, command: str) -> None:
+    before, files = resource.getrusage(resource.RUSAGE_CHILDREN), files_in(place)
+    result = run(*command.split())
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert result.returncode == cli.BAD_INPUT
+    assert result.stdout == ""
+    assert result.stderr.count("\n") == 1 and BAD_COMMANDS[command] in result.stderr
+    assert files_in(place) == files
+    # CPU time, which other processes on the machine do not stretch.
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 3
+
+
+@pytest.mark.parametrize("command", MORE_BAD_COMMANDS)
+def test_bad_input_leaves_nothing(
+    place: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = files_in(place)
+    assert cli.main(command.split()) == cli.BAD_INPUT
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith("marl-clean: ") and err.count("\n") == 1
+    assert MORE_BAD_COMMANDS[command] in err
+    assert files_in(place) == files
+
+
+def test_a_device_that_is_not_there(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["train", "device=cuda:99"]) == cli.BAD_INPUT
+    assert "device=cuda:99: not on this machine; valid: cpu" in capsys.readouterr().err
+    assert not Path("runs").exists()
+
+
+@pytest.mark.parametrize("command", ["benchmark", "watch planner=random env.compile=true"])
+def test_compiling_from_a_path_with_a_space_is_bad_input(
+    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = ModuleSpec("torch", None, origin="/my house/torch/__init__.py")
+    monkeypatch.setattr(checks, "find_spec", lambda name: there)
+    assert cli.main(command.split()) == cli.BAD_INPUT
+    assert "env.compile=true: torch cannot compile" in capsys.readouterr().err
+
+
+def test_bad_input_is_met_before_torch_is_imported(place: Path) -> None:
+    program = (
+        "import sys; from marl_clean import cli\n"
+        "for command in sys.stdin.read().splitlines():\n"
+        "    assert cli.main(command.split()) == 2, command\n"
+        "assert 'torch' not in sys.modules, 'torch'"
+    )
+    commands = "\n".join([*BAD_COMMANDS, *MORE_BAD_COMMANDS])
+    result = subprocess.run(
+        [sys.executable, "-c", program], input=commands, text=True, capture_output=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
+
+
+def test_a_run_that_exists_is_not_overwritten_by_another_config(
+    place: Path, capsys: pytest.CaptureFixture[str], trained: list[str]
+) -> None:
+    assert cli.main(["train", "name=mine"]) == 0
+    assert cli.main(["train", "name=mine", "seed=1"]) == cli.BAD_INPUT
+    assert "seed=0, not 1" in capsys.readouterr().err
+    assert trained == ["mine"]
+
+
+@pytest.fixture
+def trained(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names of the runs that a stand-in for training was asked for, in order."""
+    from omegaconf import DictConfig, OmegaConf
+
+    import marl_clean
+
+    names = []
+
+    def main(config: DictConfig, folder: Path) -> None:
+        if config.seed == 13:
+            raise RuntimeError("thirteen")
+        folder.mkdir(parents=True, exist_ok=True)
+        OmegaConf.save(config, folder / "config.yaml")
+        names.append(str(folder.relative_to("runs")))
+
+    stand_in = types.ModuleType("marl_clean.commands.train")
+    stand_in.main = main  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "marl_clean.commands.train", stand_in)
+    monkeypatch.setattr(marl_clean, "train", stand_in, raising=False)
+    return names
+
+
+SWEEP = ["train", "-m", "hydra/hydra_logging=none"]
+
+
+def test_a_sweep_gives_every_combination_its_folder(place: Path, trained: list[str]) -> None:
+    settings = ["seed=1,2", "comm=plan,none", "evaluation.epsilon=choice(0.1)"]
+    assert cli.main([*SWEEP, *settings]) == 0
+    assert len(set(trained)) == 4
+    assert files_in(place / "runs") == set(trained)
+    assert all(name.startswith("run-") for name in trained)
+
+
+def test_a_named_sweep_is_one_folder_of_jobs(place: Path, trained: list[str]) -> None:
+    assert cli.main([*SWEEP, "name=lamp", "seed=range(0,3)"]) == 0
+    assert len(trained) == 3 and files_in(place / "runs") == {"lamp"}
+
+
+def test_a_preset_says_its_sweep_and_settings_win_key_by_key(
+    place: Path, trained: list[str]
+) -> None:
+    assert cli.main([*SWEEP, "+experiment=reward_sharing", "seed=7", "comm=none,plan"]) == 0
+    assert len(set(trained)) == 2 * 3  # comm x reward, of one seed
+    configs = [load_config(place / "runs" / name) for name in trained]
+    assert {config["seed"] for config in configs} == {7}
+    assert {config["env"]["memory"] for config in configs} == {"shared"}
+    asked = {(c["comm"]["_target_"], c["reward"]["_target_"]) for c in configs}
+    assert len(asked) == 6
+    assert all("hydra" not in config for config in configs)
+
+
+def test_a_preset_that_sweeps_is_one_run_without_m(place: Path, trained: list[str]) -> None:
+    assert cli.main(["train", "+experiment=reward_sharing"]) == 0
+    [name] = trained
+    assert name.startswith("reward_sharing-")
+
+
+@pytest.mark.parametrize("preset", SWEEPING)
+def test_every_sweep_of_a_preset_is_made_of_distinct_sound_jobs(preset: str) -> None:
+    swept = sweep_of(conf_folder() / "experiment" / f"{preset}.yaml")
+    jobs = named_jobs(parse_overrides([f"experiment={preset}"]))
+    assert len(jobs) == math.prod(len(values.split(",")) for values in swept.values())
+
+
+def test_every_job_is_checked_before_the_first_runs(place: Path, trained: list[str]) -> None:
+    assert cli.main([*SWEEP, "env.n_agents=2,99"]) == cli.BAD_INPUT
+    assert trained == []
+
+
+def test_a_failing_job_fails_the_sweep_after_the_others_ran(
+    place: Path, trained: list[str]
+) -> None:
+    with pytest.raises(RuntimeError, match="thirteen"):
+        cli.main([*SWEEP, "seed=1,13,2"])
+    assert len(trained) == 2
+
+
+def test_signals_become_exit_codes(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(arguments: object) -> int:
+        raise KeyboardInterrupt
+
+    def terminated(arguments: object) -> int:
+        os.kill(os.getpid(), signal.SIGTERM)
+        return 0
+
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setitem(cli.COMMANDS, "list", interrupted)
+    assert cli.main(["list"]) == 130
+    monkeypatch.setitem(cli.COMMANDS, "list", terminated)
+    with pytest.raises(SystemExit, match="143"):
+        cli.main(["list"])
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"{__version__}\n"
+    assert cli.main(["--help"]) == cli.main([]) == 0
+    out = capsys.readouterr().out
+    assert all(out.count(f"\n  {name} ") == 2 for name in cli.COMMANDS)
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        cli.main([command, "--help"])
+    assert f"marl-clean {command}" in capsys.readouterr().out
+
+
+def test_list_shows_every_level_and_its_claim() -> None:
+    lines = listing.lines()
+    for room, levels in rooms().items():
+        after = lines[lines.index(room) + 1 :]
+        for line, level in zip(after, levels, strict=False):
+            name, _, claim = line.strip().partition("  ")
+            assert name == level and claim.strip()
+
+
+def test_doctor_finds_nothing_missing(capsys: pytest.CaptureFixture[str]) -> None:
+    code = cli.main(["doctor"])
+    out = capsys.readouterr().out
+    assert code == 0, out
+    assert "torchrl" in out and str(conf_folder()) in out
+
+
+def test_a_reader_that_leaves_early_is_no_error() -> None:
+    line = f"'{sys.executable}' -m marl_clean list | head -n 1; exit ${{PIPESTATUS[0]}}"
+    result = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr) == (0, "")

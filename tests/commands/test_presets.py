@@ -1,0 +1,121 @@
+"""Every preset trains, measures and leaves what a run leaves; a preset says what Hydra reads in it.
+
+Presets are found by their files: a new one is tested without a change here.
+"""
+
+import csv
+import math
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from marl_clean import cli
+from marl_clean.config import compose
+from marl_clean.config.compose import PRESETS, compose_config, conf_folder, plays_houses
+from marl_clean.config.presets import read_preset
+from marl_clean.config.schema import instantiate
+from marl_clean.config.stored import load_config
+from marl_clean.evaluation.records import MEASURES, SCHEMA, WORLD, read_entries
+from marl_clean.house.base import draw_houses
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+EXPERIMENTS = sorted(path.stem for path in (conf_folder() / "experiment").glob("*.yaml"))
+ALL = sorted(path for group in PRESETS for path in (conf_folder() / group).glob("*.yaml"))
+
+# As small as shows that everything fits together; houses, robots and network are the preset's.
+TINY = [
+    "budget=smoke",
+    "train_houses=16",
+    "env.num_envs=32",
+    "trainer.total_frames=1024",
+    "trainer.frames_per_batch=512",
+    "trainer.batch_frames=32",
+    "trainer.replay_ratio=0.25",
+    "trainer.start_frames=0",
+    "trainer.log_interval_frames=512",
+    "evaluation.houses=2",
+    "evaluation.plans=[]",
+]
+ALLOWED = set(MEASURES) | {"seed", "path", "rows", "cols", "free_cells", "max_steps"}
+ALLOWED |= {f"bound_{name}" for name in ("90", "95", "99", "100", "certify")}
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny run of the default config, for presets that start from one."""
+    place = tmp_path_factory.mktemp("before")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
+        assert cli.main(["train", *TINY, "env.max_steps=20", "name=before"]) == 0
+    return place / "runs" / "before"
+
+
+def wants_a_run(preset: str) -> bool:
+    return compose_config([f"experiment={preset}"]).checkpoint is not None
+
+
+def settings_of(preset: str, request: pytest.FixtureRequest) -> list[str]:
+    settings = [f"+experiment={preset}", *TINY]
+    if plays_houses(compose_config([f"experiment={preset}"])):
+        settings.append("env.max_steps=20")
+    if wants_a_run(preset):
+        settings.append(f"checkpoint={request.getfixturevalue('trained')}")
+    if "path" in compose_config([f"experiment={preset}"]).house:
+        settings.append("house.path=apartment")
+    return settings
+
+
+@pytest.mark.parametrize("preset", EXPERIMENTS)
+def test_a_preset_trains_and_measures(
+    preset: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    settings = settings_of(preset, request)
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["train", *settings]) == 0
+    [folder] = Path("runs").iterdir()
+    assert folder.name.startswith(f"{preset}-")
+    rows = list(csv.DictReader((folder / "metrics.csv").read_text().splitlines()))
+    losses = [float(row["loss"]) for row in rows if row["loss"]]
+    assert losses and all(math.isfinite(loss) for loss in losses)
+    assert int(rows[-1]["updates"]) >= 1 and rows[-1]["frames"] == "1024"
+    entries = read_entries(folder / "evaluation.json")
+    config = load_config(folder)
+    assert entries[0]["policy"] == config["name"] == folder.name
+    if not plays_houses(OmegaConf.create(config)):
+        assert [entry["policy"] for entry in entries] == [folder.name, "random"]
+        assert all(math.isfinite(entry["summary"]["return"]["mean"]) for entry in entries)
+        return
+    assert float(rows[-1]["validation/coverage"]) > 0
+    assert {entry["policy"] for entry in entries} >= {"random", "nearest_unknown"}
+    for entry in entries:
+        assert (entry["schema"], entry["world"]) == (SCHEMA, WORLD)
+        sizes = [config["env"]["n_agents"], *config["evaluation"]["team_sizes"]]
+        assert entry["n_agents"] in sizes
+        assert len(entry["houses"]) == 2
+        assert all(set(house) <= ALLOWED for house in entry["houses"])
+        assert set(entry["summary"]) <= set(MEASURES)
+        assert 0 < entry["summary"]["coverage"]["mean"] <= 1
+
+
+@pytest.mark.parametrize("path", ALL, ids=lambda path: f"{path.parent.name}={path.stem}")
+def test_what_is_read_in_a_preset_is_what_hydra_composes(path: Path) -> None:
+    given = [f"{path.parent.name}={path.stem}"]
+    plain = OmegaConf.to_container(compose_config())
+    ours = compose.apply(plain | {"name": None}, compose.parse_overrides(given))
+    theirs = OmegaConf.to_container(compose_config([*given, "name=x"]))
+    assert ours | {"name": "x"} == theirs
+    levels, _ = read_preset(path)
+    assert set(levels) <= set(compose.rooms())
+
+
+def test_single_rooms_have_no_wall_inside() -> None:
+    house = instantiate(compose_config(["experiment=single_room"]).house)
+    houses = draw_houses(house, range(200), n_agents=4)
+    for index in range(200):
+        rows, cols = int(houses.rows[index]), int(houses.cols[index])
+        inside = slice(1, rows - 1), slice(1, cols - 1)
+        wall = ~houses.free[index][inside] & (houses.furniture[index][inside] == 0)
+        assert not wall.any()
+    assert (houses.furniture > 0).any((1, 2)).all()

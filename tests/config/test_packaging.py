@@ -1,0 +1,54 @@
+"""The wheel and the editable install both find their configs."""
+
+import os
+import subprocess
+import sys
+import sysconfig
+import zipfile
+from pathlib import Path
+
+import pytest
+from hatchling.build import build_editable, build_wheel
+
+ROOT = Path(__file__).parents[2]
+WHERE = "from marl_clean.config.compose import compose_config, conf_folder; compose_config(); "
+WHERE += "print(conf_folder())"
+
+
+def where_conf_is(site: Path) -> Path:
+    """The config folder that a program finds whose first site-packages is `site`."""
+    sites = [str(site), sysconfig.get_path("purelib")]
+    program = f"import site; [site.addsitedir(each) for each in {sites!r}]; {WHERE}"
+    command = [sys.executable, "-S", "-c", program]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    result = subprocess.run(
+        command, capture_output=True, text=True, cwd=site, env=environment, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    return Path(result.stdout.strip())
+
+
+@pytest.fixture
+def built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(ROOT)
+    return tmp_path
+
+
+def test_the_wheel_carries_its_own_configs(built: Path) -> None:
+    wheel = built / build_wheel(str(built))
+    site = built / "some site"
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    ours = {path.relative_to(ROOT) for path in (ROOT / "conf").rglob("*.yaml")}
+    assert {path.relative_to(site / "marl_clean") for path in site.rglob("conf/**/*.yaml")} == ours
+    data = {path.relative_to(ROOT) for path in (ROOT / "marl_clean/house/plans").iterdir()}
+    assert data and all((site / path).is_file() for path in data)
+    assert where_conf_is(site) == site / "marl_clean" / "conf"
+
+
+def test_the_editable_install_reads_the_checkout(built: Path) -> None:
+    wheel = built / build_editable(str(built))
+    with zipfile.ZipFile(wheel) as archive:
+        assert not [name for name in archive.namelist() if name.endswith(".yaml")]
+        archive.extractall(built / "site")
+    assert where_conf_is(built / "site") == ROOT / "conf"
