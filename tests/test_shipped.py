@@ -8,7 +8,7 @@ from marl_clean.config.stored import load_config
 from marl_clean.evaluation.evaluator import evaluate
 from marl_clean.evaluation.records import means
 
-SHIPPED = Path(__file__).parent.parent / "docs" / "approach_2_frontier"
+SHIPPED = Path(__file__).parent.parent / "weights" / "approach_2_frontier"
 
 
 def test_the_shipped_policy_cleans_validation_houses() -> None:

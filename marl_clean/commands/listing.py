@@ -5,11 +5,15 @@ from pathlib import Path
 
 from marl_clean.config.compose import PRESETS, conf_folder, groups, rooms
 from marl_clean.config.schema import definition
+from marl_clean.config.stored import shipped_runs
 from marl_clean.storage.safe_yaml import load_yaml
 
 
 def lines() -> list[str]:
-    """A line a room, and below it a line a level: its name, and what its class claims."""
+    """A line a room, and below it a line a level: its name, and what its class claims.
+
+    After the rooms come the presets, and the trained runs that ship.
+    """
     folder = conf_folder()
     result = []
     for room, levels in rooms().items():
@@ -19,7 +23,7 @@ def lines() -> list[str]:
         result += [room, *(f"  {level:{width}}  {text}" for level, text in lines_)]
     for preset in PRESETS:
         result += [f"{preset}=", *(f"  {name}" for name in groups()[preset])]
-    return result
+    return [*result, "checkpoint=", *(f"  {name}" for name in shipped_runs())]
 
 
 def claim(level: Path) -> str:

@@ -13,6 +13,7 @@ from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig
 
 from marl_clean.config.compose import (
+    PACKAGE,
     PERFECT,
     PRESETS,
     apply,
@@ -31,6 +32,7 @@ from marl_clean.storage.safe_yaml import load_yaml
 
 RUNS = Path("runs")
 CONFIG = "config.yaml"
+WEIGHTS = "weights"
 NETWORK = ("observation", "encoder", "comm", "agent", "parameter_budget")
 SAME_NETWORK = ("observation.position_noise",)  # of these rooms, but any weights play with it
 BESIDE_THE_WEIGHTS = ("encoder.dropout", "encoder.channels_last")  # how they learn, or are stored
@@ -109,14 +111,26 @@ def _check_fits(
                 )
 
 
+def shipped_runs() -> dict[str, Path]:
+    """The runs that ship with the package by name: in it (a wheel) or beside it (a checkout)."""
+    for folder in (PACKAGE / WEIGHTS, PACKAGE.parent / WEIGHTS):
+        if configs := sorted(folder.glob(f"*/{CONFIG}")):
+            return {path.parent.name: path.parent for path in configs}
+    return {}
+
+
 def find_run(run: str) -> Path:
-    """The folder of a run, given as a path or as a name in runs/. Raises BadInput without one."""
-    for folder in (Path(run), RUNS / run):
+    """The folder of a run: a path, a name in runs/, or the name of one that ships.
+
+    Raises BadInput without one.
+    """
+    shipped = shipped_runs()
+    for folder in (Path(run), RUNS / run, *([shipped[run]] if run in shipped else [])):
         if (folder / CONFIG).is_file():
             return folder
     if Path(run).exists():
         raise BadInput(f"checkpoint={run}: has no {CONFIG}; give the folder of a run")
-    names = sorted(path.parent.name for path in RUNS.glob(f"*/{CONFIG}"))
+    names = sorted({*(path.parent.name for path in RUNS.glob(f"*/{CONFIG}")), *shipped})
     close = difflib.get_close_matches(run, names, n=1)
     known = f"did you mean {close[0]}?" if close else f"runs: {', '.join(names[:9]) or 'none yet'}"
     raise BadInput(f"checkpoint={run}: there is no such run; {known}")

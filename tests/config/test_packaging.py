@@ -46,6 +46,36 @@ def test_the_wheel_carries_its_own_configs(built: Path) -> None:
     assert where_conf_is(site) == site / "marl_clean" / "conf"
 
 
+def test_the_wheel_carries_the_trained_runs(built: Path) -> None:
+    """Nothing beside it: `marl-clean evaluate checkpoint=NAME` works from any folder."""
+    wheel = built / build_wheel(str(built))
+    site = built / "some site"
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    ours = {path.relative_to(ROOT) for path in (ROOT / "weights").rglob("*") if path.is_file()}
+    held = {
+        path.relative_to(site / "marl_clean")
+        for path in (site / "marl_clean" / "weights").rglob("*")
+        if path.is_file()
+    }
+    assert held == ours and len({path.parts[1] for path in ours}) == 2
+    arguments = ["evaluate", "checkpoint=approach_2_frontier", "evaluation.houses=1"]
+    program = f"import sys; sys.path.insert(0, {str(site)!r}); import marl_clean.cli as c; "
+    program += f"assert c.__file__.startswith({str(site)!r}); sys.exit(c.main({arguments!r}))"
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    result = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        cwd=built,
+        env=environment,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert (built / "runs" / "evaluate").is_dir()
+    assert "approach_2_frontier" in result.stdout
+
+
 def test_the_editable_install_reads_the_checkout(built: Path) -> None:
     wheel = built / build_editable(str(built))
     with zipfile.ZipFile(wheel) as archive:
