@@ -25,7 +25,7 @@ DRAWS_PER_SEED = 100
 
 
 @dataclass(frozen=True)
-class Plan:
+class HouseLayout:
     """One house: where robots can stand, which blocked cells are furniture, who starts where.
 
     `free` is bool [rows, cols]; `furniture` int16 [rows, cols]: 0 none, k > 0 piece k. `starts`
@@ -39,20 +39,20 @@ class Plan:
 
 
 class House(ABC):
-    """Draws plans. A level of the room is one subclass, final."""
+    """Draws house layouts. A level of the room is one subclass, final."""
 
-    generated: ClassVar[bool]  # True: another plan for every seed; False: one plan from a file
+    generated: ClassVar[bool]  # True: a layout for every seed; False: one floor plan, from a file
     shares_count: ClassVar[bool] = False  # True: how often seeds give one layout is asked for
 
     @abstractmethod
-    def plan(self, seed: int, draw: int = 0) -> Plan:
-        """The plan of a seed, and of nothing else; `draw` counts the redraws of that seed.
+    def layout(self, seed: int, draw: int = 0) -> HouseLayout:
+        """The layout of a seed, and of nothing else; `draw` counts the redraws of that seed.
 
-        A loaded plan ignores both. Raises BadInput where the file cannot be used.
+        A floor plan ignores both. Raises BadInput where the file cannot be used.
         """
 
     def parts(self) -> Sequence["House"]:
-        """The houses that plans are drawn from: itself, where it is no mixture."""
+        """The houses that layouts are drawn from: itself, where it is no mixture."""
         return [self]
 
 
@@ -91,10 +91,10 @@ def split_seeds(split: str, count: int) -> range:
 
 
 def draw_houses(house: House, seeds: Sequence[int], n_agents: int) -> Houses:
-    """One house a seed, in order; a loaded plan gives one house, whatever the seeds.
+    """One house a seed, in order; a floor plan gives one house, whatever the seeds.
 
     Generated houses have one connected free region and more free cells than robots, or are drawn
-    again. Of a loaded plan one region stays free, see `keep_region`; of its starts the first
+    again. Of a floor plan one region stays free, see `keep_region`; of its starts the first
     `n_agents` stay, and where it gives fewer the world draws the rest.
 
     Raises BadInput where the file or the settings allow no such house.
@@ -109,7 +109,7 @@ def draw_houses(house: House, seeds: Sequence[int], n_agents: int) -> Houses:
 def draw_bank(house: House, count: int, n_agents: int, split: str = "train") -> Houses:
     """Up to `count` distinct houses, of the first seeds of a split that bring one.
 
-    Settings that allow fewer (an open house of one size, a loaded plan) give those there are: the
+    Settings that allow fewer (an open house of one size, a floor plan) give those there are: the
     walk ends when `count` seeds in a row brought nothing new. Where shares count, as in a mixture,
     the houses are those of the first `count` seeds, equal ones among them.
 
@@ -118,13 +118,13 @@ def draw_bank(house: House, count: int, n_agents: int, split: str = "train") -> 
     split_seeds(split, count)
     if not house.generated or house.shares_count:
         return draw_houses(house, split_seeds(split, count), n_agents)
-    bank: dict[tuple[tuple[int, ...], bytes], Plan] = {}
+    bank: dict[tuple[tuple[int, ...], bytes], HouseLayout] = {}
     repeats = 0
     for seed in SPLITS[split]:
-        plan = _drawn(house, seed, n_agents)
-        layout = plan.free.shape, plan.free.tobytes()
-        repeats = repeats + 1 if layout in bank else 0
-        bank.setdefault(layout, plan)
+        layout = _drawn(house, seed, n_agents)
+        content = layout.free.shape, layout.free.tobytes()
+        repeats = repeats + 1 if content in bank else 0
+        bank.setdefault(content, layout)
         if len(bank) == count or repeats == count:
             break
     return _stack(list(bank.values()))
@@ -143,28 +143,28 @@ def smallest_first(houses: Houses) -> Houses:
     )
 
 
-def keep_region(plan: Plan) -> Plan:
-    """The plan with one connected region free: that of its starts, or without any the largest.
+def keep_region(layout: HouseLayout) -> HouseLayout:
+    """The layout with one connected region free: that of its starts, or without any the largest.
 
     Of equally large regions it is the one with the smallest (row, col). Cells connect by their
     four sides. Raises BadInput: no free cell, or starts in two regions.
     """
-    regions, count = ndimage.label(plan.free)
+    regions, count = ndimage.label(layout.free)
     if count == 0:
-        raise BadInput(f"{plan.source}: the plan has no free cell; at least one is needed")
-    if plan.starts:
-        first = plan.starts[0]
+        raise BadInput(f"{layout.source}: the floor plan has no free cell; at least one is needed")
+    if layout.starts:
+        first = layout.starts[0]
         kept = regions[first]
-        for start in plan.starts:
+        for start in layout.starts:
             if regions[start] != kept:
                 raise BadInput(
-                    f"{plan.source}: the starts {first} and {start} (row, col) lie in two "
+                    f"{layout.source}: the starts {first} and {start} (row, col) lie in two "
                     "regions; all starts must lie in one"
                 )
     else:
         # Regions are numbered in reading order, so the first of equal ones is the right one.
         kept = 1 + np.argmax(np.bincount(regions.ravel())[1:])
-    return replace(plan, free=regions == kept)
+    return replace(layout, free=regions == kept)
 
 
 def stream(seed: int, draw: int) -> random.Random:
@@ -189,14 +189,14 @@ def check_range(key: str, value: Sequence[int], least: int) -> None:
         )
 
 
-def _drawn(house: House, seed: int, n_agents: int) -> Plan:
+def _drawn(house: House, seed: int, n_agents: int) -> HouseLayout:
     for draw in range(DRAWS_PER_SEED):
-        plan = house.plan(seed, draw)
-        if ndimage.label(plan.free)[1] == 1 and np.count_nonzero(plan.free) > n_agents:
-            return _with_starts_for(plan, n_agents)
+        layout = house.layout(seed, draw)
+        if ndimage.label(layout.free)[1] == 1 and np.count_nonzero(layout.free) > n_agents:
+            return _with_starts_for(layout, n_agents)
     raise BadInput(
         f"house: in {DRAWS_PER_SEED} draws of seed {seed} none had one region of more than "
-        f"{n_agents} free cells (env.n_agents), the last {np.count_nonzero(plan.free)} in all; "
+        f"{n_agents} free cells (env.n_agents), the last {np.count_nonzero(layout.free)} in all; "
         "raise house.rows or house.cols, or lower env.n_agents"
     )
 
@@ -211,38 +211,38 @@ def check_largest(largest_side: int, rows: int, cols: int) -> None:
         )
 
 
-def _loaded(house: House, n_agents: int) -> Plan:
-    plan = keep_region(house.plan(0))
-    free_cells = int(np.count_nonzero(plan.free))
+def _loaded(house: House, n_agents: int) -> HouseLayout:
+    layout = keep_region(house.layout(0))
+    free_cells = int(np.count_nonzero(layout.free))
     if free_cells <= n_agents:
         reason = "clean at step 0" if free_cells == n_agents else "more robots than cells"
-        valid = f"1 to {free_cells - 1}" if free_cells > 1 else "none, so take another plan"
+        valid = f"1 to {free_cells - 1}" if free_cells > 1 else "none, so take another floor plan"
         raise BadInput(
-            f"{plan.source}: {reason}, free cells: {free_cells}, env.n_agents: {n_agents}; "
+            f"{layout.source}: {reason}, free cells: {free_cells}, env.n_agents: {n_agents}; "
             f"valid for env.n_agents: {valid}"
         )
-    return _with_starts_for(plan, n_agents)
+    return _with_starts_for(layout, n_agents)
 
 
-def _with_starts_for(plan: Plan, n_agents: int) -> Plan:
-    return replace(plan, starts=plan.starts[:n_agents] if plan.starts else None)
+def _with_starts_for(layout: HouseLayout, n_agents: int) -> HouseLayout:
+    return replace(layout, starts=layout.starts[:n_agents] if layout.starts else None)
 
 
-def _stack(plans: Sequence[Plan]) -> Houses:
-    rows = np.array([plan.free.shape[0] for plan in plans], dtype=np.int64)
-    cols = np.array([plan.free.shape[1] for plan in plans], dtype=np.int64)
-    size = len(plans), int(rows.max()), int(cols.max())
+def _stack(layouts: Sequence[HouseLayout]) -> Houses:
+    rows = np.array([layout.free.shape[0] for layout in layouts], dtype=np.int64)
+    cols = np.array([layout.free.shape[1] for layout in layouts], dtype=np.int64)
+    size = len(layouts), int(rows.max()), int(cols.max())
     free, furniture = np.zeros(size, dtype=bool), np.zeros(size, dtype=np.int16)
-    for index, plan in enumerate(plans):
-        free[index, : rows[index], : cols[index]] = plan.free
-        furniture[index, : rows[index], : cols[index]] = plan.furniture
+    for index, layout in enumerate(layouts):
+        free[index, : rows[index], : cols[index]] = layout.free
+        furniture[index, : rows[index], : cols[index]] = layout.furniture
     return Houses(
         free=free,
         furniture=furniture,
         rows=rows,
         cols=cols,
-        starts=_stack_starts([plan.starts for plan in plans]),
-        sources=[plan.source for plan in plans],
+        starts=_stack_starts([layout.starts for layout in layouts]),
+        sources=[layout.source for layout in layouts],
     )
 
 

@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from marl_clean.errors import BadInput
 from marl_clean.house._plan_files import find_plan, read_lines
-from marl_clean.house.base import House, Plan
+from marl_clean.house.base import House, HouseLayout
 from marl_clean.settings import LARGEST_SIDE
 
 SHIPPED = Path(__file__).parent / "plans"
@@ -36,12 +36,12 @@ class Drawn(House):
 
     path: str | None = None
 
-    def plan(self, seed: int = 0, draw: int = 0) -> Plan:
+    def layout(self, seed: int = 0, draw: int = 0) -> HouseLayout:
         """The file's plan, for every seed."""
         name = self.path or "apartment"
         file = find_plan(name, SHIPPED, (".txt",))
         grid = _grid(file)
-        return Plan(
+        return HouseLayout(
             free=np.isin(grid, list(FLOOR + ROBOT + NUMBERED)),
             furniture=_furniture(file, grid),
             starts=_starts(file, grid),

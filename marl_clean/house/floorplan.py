@@ -10,7 +10,7 @@ import numpy as np
 from marl_clean.errors import BadInput
 from marl_clean.house._floorplan_readers import read_image, read_map_server, read_movingai
 from marl_clean.house._plan_files import find_plan
-from marl_clean.house.base import House, Plan
+from marl_clean.house.base import House, HouseLayout
 from marl_clean.settings import PositiveFloat
 
 SHIPPED = Path(__file__).parent / "plans"
@@ -49,11 +49,11 @@ class FloorPlan(House):
             if metres is not None and not (math.isfinite(metres) and metres > 0):
                 raise BadInput(f"house.{key}: {metres} is not a length above 0")
 
-    def plan(self, seed: int = 0, draw: int = 0) -> Plan:
+    def layout(self, seed: int = 0, draw: int = 0) -> HouseLayout:
         """The file's plan, for every seed."""
         path = str(self.path)
         free = self._read(find_plan(path, SHIPPED, SUFFIXES))
-        return Plan(
+        return HouseLayout(
             free=free,
             furniture=np.zeros(free.shape, dtype=np.int16),
             starts=self._starts(free),

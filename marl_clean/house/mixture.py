@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar, final
 
 from marl_clean.errors import BadInput
-from marl_clean.house.base import House, Plan, between, check_range, keep_region, stream
+from marl_clean.house.base import House, HouseLayout, between, check_range, keep_region, stream
 from marl_clean.house.drawn import SHIPPED, Drawn
 from marl_clean.house.floorplan import FloorPlan
 from marl_clean.house.open import Open
@@ -51,13 +51,13 @@ class Mixture(House):
         """Every plan, and every kind in every range of sizes."""
         return [*self._files, *self._generators]
 
-    def plan(self, seed: int, draw: int = 0) -> Plan:
-        """The plan of the part that the seed picks: a pure function of the seed and the draw."""
+    def layout(self, seed: int, draw: int = 0) -> HouseLayout:
+        """The layout of the part that the seed picks: a pure function of the seed and the draw."""
         numbers = stream(seed, CHOICE)
         if numbers.random() < self.plans_share and self.plans:
             return self._loaded[between(numbers, 0, len(self.plans) - 1)]
         generators = self._generators
-        return generators[between(numbers, 0, len(generators) - 1)].plan(seed, draw)
+        return generators[between(numbers, 0, len(generators) - 1)].layout(seed, draw)
 
     @cached_property
     def _generators(self) -> list[House]:
@@ -68,7 +68,7 @@ class Mixture(House):
         return [_file(path) for path in self.plans]
 
     @cached_property
-    def _loaded(self) -> list[Plan]:
+    def _loaded(self) -> list[HouseLayout]:
         return [_read(file) for file in self._files]
 
 
@@ -88,8 +88,8 @@ def _file(path: str) -> House:
     return Drawn(path) if drawn else FloorPlan(path)
 
 
-def _read(file: House) -> Plan:
+def _read(file: House) -> HouseLayout:
     try:
-        return keep_region(file.plan(0))
+        return keep_region(file.layout(0))
     except BadInput as error:
         raise BadInput(f"house.plans: {error}") from None

@@ -5,7 +5,7 @@ from typing import ClassVar, final
 
 import numpy as np
 
-from marl_clean.house.base import House, Plan, between, check_range, stream
+from marl_clean.house.base import House, HouseLayout, between, check_range, stream
 from marl_clean.settings import Range
 
 
@@ -26,9 +26,9 @@ class Open(House):
         check_range("house.rows", self.rows, least=1)
         check_range("house.cols", self.cols, least=1)
 
-    def plan(self, seed: int, draw: int = 0) -> Plan:
+    def layout(self, seed: int, draw: int = 0) -> HouseLayout:
         """An empty floor whose size is a pure function of the seed and the draw."""
         numbers = stream(seed, draw)
         shape = between(numbers, *self.rows), between(numbers, *self.cols)
         furniture = np.zeros(shape, dtype=np.int16)
-        return Plan(free=furniture == 0, furniture=furniture, starts=None, source=seed)
+        return HouseLayout(free=furniture == 0, furniture=furniture, starts=None, source=seed)

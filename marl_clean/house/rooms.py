@@ -6,7 +6,7 @@ from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
-from marl_clean.house.base import House, Plan, between, check_range, stream
+from marl_clean.house.base import House, HouseLayout, between, check_range, stream
 from marl_clean.settings import PositiveInt, Probability, Range
 
 WALL, FREE = -1, 0  # a positive cell is the piece of furniture of that number
@@ -61,7 +61,7 @@ class Rooms(House):
         for key in ("doors", "cells_per_piece", "piece_sides"):
             check_range(f"house.{key}", getattr(self, key), least=1)
 
-    def plan(self, seed: int, draw: int = 0) -> Plan:
+    def layout(self, seed: int, draw: int = 0) -> HouseLayout:
         """A house that is a pure function of the seed and the draw."""
         numbers = stream(seed, draw)
         rows, cols = between(numbers, *self.rows), between(numbers, *self.cols)
@@ -71,7 +71,8 @@ class Rooms(House):
         for room in self._divided(grid, Box(1, 1, rows - 1, cols - 1), numbers):
             pieces = self._furnish(grid, room, pieces, numbers)
         cells = np.array(grid, dtype=np.int16)
-        return Plan(free=cells == FREE, furniture=np.maximum(cells, 0), starts=None, source=seed)
+        furniture = np.maximum(cells, 0)
+        return HouseLayout(free=cells == FREE, furniture=furniture, starts=None, source=seed)
 
     def _divided(self, grid: Grid, room: Box, numbers: random.Random) -> list[Box]:
         """The rooms that `room` becomes, in reading order; writes their walls and doors."""

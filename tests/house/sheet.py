@@ -5,7 +5,7 @@ import sys
 import numpy as np
 from PIL import Image
 
-from marl_clean.house.base import Plan, split_seeds
+from marl_clean.house.base import HouseLayout, split_seeds
 from marl_clean.house.rooms import Rooms
 
 WALL, FLOOR = (60, 60, 70), (245, 240, 230)
@@ -13,20 +13,20 @@ FURNITURE = ((190, 140, 90), (150, 165, 110), (170, 120, 120), (120, 140, 170))
 CELL_PIXELS, GAP_PIXELS = 14, 12
 
 
-def picture(plan: Plan) -> np.ndarray:
-    """One plan from above, uint8 [rows * CELL_PIXELS, cols * CELL_PIXELS, 3]."""
-    colours = np.where(plan.free[..., None], FLOOR, WALL)
-    pieces = np.array(FURNITURE)[plan.furniture % len(FURNITURE)]
-    colours = np.where(plan.furniture[..., None] > 0, pieces, colours)
+def picture(layout: HouseLayout) -> np.ndarray:
+    """One house from above, uint8 [rows * CELL_PIXELS, cols * CELL_PIXELS, 3]."""
+    colours = np.where(layout.free[..., None], FLOOR, WALL)
+    pieces = np.array(FURNITURE)[layout.furniture % len(FURNITURE)]
+    colours = np.where(layout.furniture[..., None] > 0, pieces, colours)
     return colours.astype(np.uint8).repeat(CELL_PIXELS, axis=0).repeat(CELL_PIXELS, axis=1)
 
 
-def sheet(plans: list[Plan], across: int) -> Image.Image:
-    """The plans in rows of `across`, on white."""
-    pictures = [picture(plan) for plan in plans]
+def sheet(layouts: list[HouseLayout], across: int) -> Image.Image:
+    """The houses in rows of `across`, on white."""
+    pictures = [picture(layout) for layout in layouts]
     height = max(each.shape[0] for each in pictures) + GAP_PIXELS
     width = max(each.shape[1] for each in pictures) + GAP_PIXELS
-    down = -(-len(plans) // across)
+    down = -(-len(layouts) // across)
     page = np.full((down * height + GAP_PIXELS, across * width + GAP_PIXELS, 3), 255, np.uint8)
     for index, each in enumerate(pictures):
         top = GAP_PIXELS + index // across * height
@@ -37,5 +37,5 @@ def sheet(plans: list[Plan], across: int) -> Image.Image:
 
 if __name__ == "__main__":
     small, large = Rooms([10, 10], [10, 10]), Rooms([14, 14], [14, 14])
-    houses = [house.plan(seed) for house in (small, large) for seed in split_seeds("test", 12)]
+    houses = [house.layout(seed) for house in (small, large) for seed in split_seeds("test", 12)]
     sheet(houses, across=6).save(sys.argv[1])

@@ -15,7 +15,7 @@ from marl_clean.errors import BadInput
 from marl_clean.house.base import (
     SPLITS,
     House,
-    Plan,
+    HouseLayout,
     draw_bank,
     draw_houses,
     keep_region,
@@ -36,9 +36,9 @@ class Handed(House):
     text: str
     starts: tuple[tuple[int, int], ...] | None = None
 
-    def plan(self, seed: int, draw: int = 0) -> Plan:
+    def layout(self, seed: int, draw: int = 0) -> HouseLayout:
         free = np.array([[cell == "." for cell in line] for line in self.text.split()])
-        return Plan(free, np.zeros(free.shape, np.int16), self.starts, "handed.txt")
+        return HouseLayout(free, np.zeros(free.shape, np.int16), self.starts, "handed.txt")
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ class Split(House):
 
     generated: ClassVar[bool] = True
 
-    def plan(self, seed: int, draw: int = 0) -> Plan:
+    def layout(self, seed: int, draw: int = 0) -> HouseLayout:
         free = np.array([[True, draw > 1, True]])
-        return Plan(free, np.zeros(free.shape, np.int16), None, seed)
+        return HouseLayout(free, np.zeros(free.shape, np.int16), None, seed)
 
 
 def flooded(free: np.ndarray, start: tuple[int, int]) -> set[tuple[int, int]]:
@@ -72,7 +72,7 @@ def cells_of(free: np.ndarray) -> list[tuple[int, int]]:
 @settings(max_examples=100, deadline=None)
 @given(PLANS)
 def test_without_starts_the_largest_region_stays_the_first_of_equals(free: np.ndarray) -> None:
-    plan = Plan(free, np.zeros(free.shape, np.int16), None, "a plan")
+    plan = HouseLayout(free, np.zeros(free.shape, np.int16), None, "a plan")
     if not free.any():
         with pytest.raises(BadInput, match="a plan: .*no free cell"):
             keep_region(plan)
@@ -89,7 +89,7 @@ def test_with_starts_their_region_stays_or_they_are_bad(free: np.ndarray, data) 
         return
     choice = st.lists(st.sampled_from(cells_of(free)), min_size=1, max_size=3)
     starts = tuple(data.draw(choice))
-    plan = Plan(free, np.zeros(free.shape, np.int16), starts, "a plan")
+    plan = HouseLayout(free, np.zeros(free.shape, np.int16), starts, "a plan")
     region = flooded(free, starts[0])
     if region.issuperset(starts):
         assert set(cells_of(keep_region(plan).free)) == region
@@ -154,7 +154,7 @@ def test_a_loaded_plan_without_work_is_bad(n_agents: int, reason: str) -> None:
 
 
 def test_a_loaded_plan_of_one_cell_serves_nobody() -> None:
-    with pytest.raises(BadInput, match="take another plan"):
+    with pytest.raises(BadInput, match="take another floor plan"):
         draw_houses(Handed("#.#"), [0], n_agents=1)
 
 

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from marl_clean.errors import BadInput
-from marl_clean.house.base import Plan, draw_houses
+from marl_clean.house.base import HouseLayout, draw_houses
 from marl_clean.house.drawn import Drawn
 
 
-def planned(folder: Path, text: str | bytes) -> Plan:
+def planned(folder: Path, text: str | bytes) -> HouseLayout:
     file = folder / "plan.txt"
     file.write_bytes(text.encode() if isinstance(text, str) else text)
-    return Drawn(str(file)).plan()
+    return Drawn(str(file)).layout()
 
 
 def test_each_character_has_its_meaning(tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_a_missing_file_is_met_with_what_would_be_valid(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "kitchen.txt").write_text("...")
-    assert Drawn("kitchen.txt").plan().free.shape == (1, 3)
+    assert Drawn("kitchen.txt").layout().free.shape == (1, 3)
     for path, valid in (
         ("kitchn.txt", "did you mean 'kitchen.txt'"),
         ("apartmnt", "did you mean 'apartment'"),
@@ -111,15 +111,15 @@ def test_a_missing_file_is_met_with_what_would_be_valid(
         (".", "shipped plan"),
     ):
         with pytest.raises(BadInput, match=valid):
-            Drawn(path).plan()
+            Drawn(path).layout()
     (tmp_path / "kitchen.doc").write_text("...")
     with pytest.raises(BadInput, match="does not end on any of .txt"):
-        Drawn("kitchen.doc").plan()
+        Drawn("kitchen.doc").layout()
 
 
 def test_the_shipped_apartment_is_a_home() -> None:
     houses = draw_houses(Drawn(), [0], n_agents=2)
-    plan = Drawn("apartment").plan()
+    plan = Drawn("apartment").layout()
     np.testing.assert_array_equal(houses.free[0], plan.free)
     assert houses.free_cells[0] >= 150 and plan.furniture.max() >= 10
     assert houses.sources == ["apartment"]

@@ -34,7 +34,7 @@ def saved(folder: Path, pixels: object, **changed: str | None) -> FloorPlan:
 
 
 def free_of(plan: FloorPlan) -> list[list[int]]:
-    return plan.plan().free.astype(int).tolist()
+    return plan.layout().free.astype(int).tolist()
 
 
 @pytest.mark.parametrize(
@@ -65,13 +65,13 @@ def test_every_real_plan_loads(maps: Path) -> None:
 
 
 def test_the_apartment_as_files_is_the_apartment_as_drawn() -> None:
-    drawn = Drawn("apartment").plan().free
+    drawn = Drawn("apartment").layout().free
     for path in ("apartment", str(SHIPPED / "apartment.yaml")):
-        np.testing.assert_array_equal(FloorPlan(path).plan().free, drawn)
+        np.testing.assert_array_equal(FloorPlan(path).layout().free, drawn)
     scanned = np.asarray(Image.open(SHIPPED / "apartment.pgm"))
     np.testing.assert_array_equal(scanned, np.kron(drawn, np.ones((4, 4))) * 254)
     plain = FloorPlan(str(SHIPPED / "apartment.pgm"), cell_metres=0.8, pixel_metres=0.2)
-    np.testing.assert_array_equal(plain.plan().free, drawn)
+    np.testing.assert_array_equal(plain.layout().free, drawn)
 
 
 def slow_cells(
@@ -165,9 +165,9 @@ def test_a_plain_image_is_free_from_grey_128_a_pixel_a_cell(tmp_path: Path, name
 
 def test_yaw_is_ignored_with_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
-        saved(tmp_path, [[254]], origin="[1, 2, 0]").plan()
+        saved(tmp_path, [[254]], origin="[1, 2, 0]").layout()
         assert not caplog.messages
-        saved(tmp_path, [[254]], origin="[1, 2, 0.5]").plan()
+        saved(tmp_path, [[254]], origin="[1, 2, 0.5]").layout()
     assert len(caplog.messages) == 1 and "yaw of 0.5 is ignored" in caplog.messages[0]
 
 
@@ -177,9 +177,9 @@ def test_given_starts_choose_the_region() -> None:
     assert houses.starts.tolist() == [[[1, 5], [8, 8]]]
     for start in ([0, 0], [1, -1], [99, 0], [1], [1, 2, 3]):
         with pytest.raises(BadInput, match="house.starts"):
-            FloorPlan(path, starts=[start]).plan()
+            FloorPlan(path, starts=[start]).layout()
     with pytest.raises(BadInput, match="given twice"):
-        FloorPlan(path, starts=[[1, 5], [1, 5]]).plan()
+        FloorPlan(path, starts=[[1, 5], [1, 5]]).layout()
 
 
 @pytest.mark.parametrize(
@@ -224,7 +224,7 @@ def test_a_wrong_yaml_is_named_in_one_line(
 ) -> None:
     plan = saved(tmp_path, [[254, 254]], **changed)
     with pytest.raises(BadInput, match=f"plan.yaml: .*({reason})") as caught:
-        plan.plan()
+        plan.layout()
     assert "\n" not in str(caught.value)
 
 
@@ -232,7 +232,7 @@ def test_a_wrong_yaml_is_named_in_one_line(
 def test_a_yaml_of_something_else_is_named(tmp_path: Path, text: str) -> None:
     (tmp_path / "plan.yaml").write_text(text, encoding="latin-1")
     with pytest.raises(BadInput, match="plan.yaml: "):
-        FloorPlan(str(tmp_path / "plan.yaml")).plan()
+        FloorPlan(str(tmp_path / "plan.yaml")).layout()
 
 
 def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path) -> None:
@@ -242,7 +242,7 @@ def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path) -> None:
     plan = saved(inside, [[254, 254]], image="link.png")
     (inside / "link.png").symlink_to(tmp_path / "plan.png")
     with pytest.raises(BadInput, match="outside"):
-        plan.plan()
+        plan.layout()
 
 
 @pytest.mark.parametrize(
@@ -280,7 +280,7 @@ def test_other_wrong_files_are_named_in_one_line(
 ) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(BadInput, match=f"{name}.*{reason}") as caught:
-        FloorPlan(str(tmp_path / name)).plan()
+        FloorPlan(str(tmp_path / name)).layout()
     assert "\n" not in str(caught.value)
 
 
@@ -298,4 +298,4 @@ def test_a_path_and_lengths_are_asked_for() -> None:
     with pytest.raises(BadInput, match="house.pixel_metres"):
         FloorPlan("apartment", pixel_metres=math.inf)
     with pytest.raises(BadInput, match="did you mean 'apartment'"):
-        FloorPlan("apartmen").plan()
+        FloorPlan("apartmen").layout()

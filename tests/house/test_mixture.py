@@ -29,9 +29,9 @@ def size_class(rows: int) -> int:
 
 def test_a_seed_gives_one_house_whatever_else_is_drawn() -> None:
     mixture = Mixture(SIDES, ["rooms", "open"], ["apartment"], 0.3)
-    together = [mixture.plan(seed) for seed in SEEDS]
+    together = [mixture.layout(seed) for seed in SEEDS]
     for seed in (7, 3, 399):
-        alone = Mixture(SIDES, ["rooms", "open"], ["apartment"], 0.3).plan(seed)
+        alone = Mixture(SIDES, ["rooms", "open"], ["apartment"], 0.3).layout(seed)
         assert np.array_equal(alone.free, together[seed].free)
         assert alone.source == together[seed].source
 
@@ -41,10 +41,10 @@ def test_a_house_is_the_one_that_its_part_alone_would_draw() -> None:
     single = {"largest_room": LARGEST_SIDE**2, "divide": 0.0}
     kinds = set()
     for seed in SEEDS:
-        plan = mixture.plan(seed, draw=seed % 3)
+        plan = mixture.layout(seed, draw=seed % 3)
         sides = SIDES[size_class(plan.free.shape[0])]
         parts = Rooms(sides, sides), Rooms(sides, sides, **single), Open(sides, sides)
-        same = [np.array_equal(part.plan(seed, draw=seed % 3).free, plan.free) for part in parts]
+        same = [np.array_equal(part.layout(seed, draw=seed % 3).free, plan.free) for part in parts]
         assert any(same) and plan.source == seed
         kinds |= {index for index, equal in enumerate(same) if equal}
     assert kinds == {0, 1, 2}
@@ -52,7 +52,7 @@ def test_a_house_is_the_one_that_its_part_alone_would_draw() -> None:
 
 def test_parts_come_as_often_as_the_lists_say() -> None:
     mixture = Mixture(SIDES, ["rooms", "rooms", "open"], ["apartment"], 0.25)
-    plans = [mixture.plan(seed) for seed in range(4000)]
+    plans = [mixture.layout(seed) for seed in range(4000)]
     loaded = [plan for plan in plans if plan.source == "apartment"]
     assert len(loaded) == pytest.approx(1000, abs=80)
     drawn = [plan for plan in plans if plan.source != "apartment"]
@@ -74,7 +74,7 @@ def test_a_bank_keeps_the_shares_of_parts_that_have_few_layouts() -> None:
 def test_a_redraw_stays_in_its_part() -> None:
     mixture = Mixture(SIDES, ["rooms"], ["apartment"], 0.5)
     for seed in range(60):
-        first, again = mixture.plan(seed), mixture.plan(seed, draw=1)
+        first, again = mixture.layout(seed), mixture.layout(seed, draw=1)
         if first.source == "apartment":
             assert again.source == "apartment"
         else:
@@ -163,7 +163,7 @@ def test_records_name_the_seed_of_a_drawn_house_and_the_path_of_a_plan() -> None
         ("house.kinds=[rooms,opn]", "open"),
         ("house.plans_share=1.5", "house.plans_share"),
         ("house.plans=[nowhere.yaml]", "house.plans: "),
-        ("house.plans=[walls.txt]", "house.plans: walls.txt: the plan has no free cell"),
+        ("house.plans=[walls.txt]", "house.plans: walls.txt: the floor plan has no free cell"),
         ("house.plans=[flat.txt] env.n_agents=7", "valid for env.n_agents: 1 to 6"),
         ("house.sides=[[3,3]]", "env.n_agents"),
     ],
@@ -179,7 +179,7 @@ def test_wrong_settings_are_named_in_one_line(
 
 
 def test_a_plan_that_is_no_text_is_a_floor_plan() -> None:
-    drawn, scanned = Drawn("apartment").plan(0), Mixture([[5, 5]], plans=["apartment"])
+    drawn, scanned = Drawn("apartment").layout(0), Mixture([[5, 5]], plans=["apartment"])
     assert np.array_equal(scanned._loaded[0].furniture, drawn.furniture)
     with pytest.raises(BadInput, match=r"house\.plans: .*flat\.png"):
         Mixture([[5, 5]], plans=["flat.png"])

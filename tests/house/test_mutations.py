@@ -27,7 +27,7 @@ def as_image(kind: str) -> bytes:
 
 
 def as_movingai() -> bytes:
-    free = Drawn().plan().free
+    free = Drawn().layout().free
     rows = ["".join(np.where(row, ".", "@")) for row in free]
     head = ["type octile", f"height {free.shape[0]}", f"width {free.shape[1]}", "map"]
     return "\n".join(head + rows).encode()
@@ -86,11 +86,11 @@ def test_a_damaged_file_is_read_or_refused_in_one_line(tmp_path: Path, suffix: s
 
 def test_the_originals_are_all_the_same_house(tmp_path: Path) -> None:
     (tmp_path / "apartment.pgm").write_bytes(ORIGINALS[".pgm"])
-    drawn = Drawn().plan().free
+    drawn = Drawn().layout().free
     for suffix, content in ORIGINALS.items():
         file = tmp_path / f"plan{suffix}"
         file.write_bytes(content)
         pixel_metres = 0.1 if suffix in (".pgm", ".png", ".bmp", ".jpg") else None
         house = FloorPlan(str(file), pixel_metres=pixel_metres)
-        plan = (Drawn(str(file)) if suffix == ".txt" else house).plan()
+        plan = (Drawn(str(file)) if suffix == ".txt" else house).layout()
         np.testing.assert_array_equal(plan.free, drawn)

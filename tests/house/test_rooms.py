@@ -45,7 +45,7 @@ def test_any_house_is_walled_connected_and_furnished_with_rectangles(
     layout: dict[str, Any], seed: int
 ) -> None:
     house = Rooms(**layout)
-    plan = house.plan(seed)
+    plan = house.layout(seed)
     rows, cols = plan.free.shape
     assert house.rows[0] <= rows <= house.rows[1] and house.cols[0] <= cols <= house.cols[1]
     assert plan.free.dtype == bool and plan.furniture.dtype == np.int16
@@ -68,7 +68,7 @@ def test_rooms_are_rectangles_joined_by_doors_one_cell_wide(
 ) -> None:
     layout["smallest_room"] = max(layout["smallest_room"], 2)
     bare = Rooms(**(layout | {"cells_per_piece": WITHOUT_FURNITURE}))
-    free = np.pad(bare.plan(seed).free, 1)
+    free = np.pad(bare.layout(seed).free, 1)
     if min(free.shape) - 4 < bare.smallest_room:
         return  # one corridor, all of which looks like doors
     # A door has walls on two opposite sides and floor on the other two; no cell of a room does.
@@ -96,14 +96,14 @@ def test_odd_shapes(rows: int, cols: int) -> None:
 @given(LAYOUTS, SEEDS)
 def test_a_house_is_a_function_of_seed_and_draw(layout: dict[str, Any], seed: int) -> None:
     house = Rooms(**layout)
-    first, again = house.plan(seed), house.plan(seed)
+    first, again = house.layout(seed), house.layout(seed)
     np.testing.assert_array_equal(first.free, again.free)
     np.testing.assert_array_equal(first.furniture, again.furniture)
 
 
 def test_other_seeds_and_other_draws_are_other_houses() -> None:
     house = Rooms([14, 14], [14, 14])
-    plans = [house.plan(seed, draw).free.tobytes() for seed in range(20) for draw in range(5)]
+    plans = [house.layout(seed, draw).free.tobytes() for seed in range(20) for draw in range(5)]
     assert len(set(plans)) == 100
 
 
@@ -113,12 +113,12 @@ def test_furniture_settings_leave_the_walls_where_they_are() -> None:
         Rooms([14, 14], [14, 14], cells_per_piece=WITHOUT_FURNITURE),
     )
     for seed in range(50):
-        plan = furnished.plan(seed)
-        np.testing.assert_array_equal(plan.free | (plan.furniture > 0), bare.plan(seed).free)
+        plan = furnished.layout(seed)
+        np.testing.assert_array_equal(plan.free | (plan.furniture > 0), bare.layout(seed).free)
 
 
 def test_seed_0_is_this_house_for_good() -> None:
-    plan = Rooms([8, 8], [11, 11]).plan(0)
+    plan = Rooms([8, 8], [11, 11]).layout(0)
     drawn = ["".join(".#"[not cell] for cell in row) for row in plan.free]
     assert drawn == SEED_0
 
@@ -155,9 +155,9 @@ def test_ranges_that_are_none_are_named(settings_: dict, key: str) -> None:
 
 
 def test_an_open_floor_is_all_free() -> None:
-    plan = Open([1, 1], [5, 5]).plan(3)
+    plan = Open([1, 1], [5, 5]).layout(3)
     assert plan.free.all() and plan.free.shape == (1, 5) and not plan.furniture.any()
-    sizes = {Open([3, 4], [7, 9]).plan(seed).free.shape for seed in range(100)}
+    sizes = {Open([3, 4], [7, 9]).layout(seed).free.shape for seed in range(100)}
     assert sizes == {(rows, cols) for rows in (3, 4) for cols in (7, 8, 9)}
     with pytest.raises(BadInput, match="house.rows"):
         Open([0, 3], [3, 3])
