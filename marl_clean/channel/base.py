@@ -1,6 +1,7 @@
 """What becomes of messages between being sent and being heard, whatever the scheme."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from math import tau
 
@@ -26,20 +27,18 @@ class Salt(IntEnum):
     ORDER = 5
 
 
-@dataclass
+@dataclass(frozen=True)
 class Step:
-    """One step as a channel lives it.
+    """What one step brings to a channel, beside the messages.
 
     Attributes:
         seed: `[*B, n]` int64 in [0, 2^32), a draw for each robot; None where no channel draws.
         state: what the channel remembers of the step before; None where it remembers nothing.
-        passed: the messages and edges that came to this channel, round by round.
         gated: robots may be silent, and then their message is all zeros.
     """
 
     seed: Tensor | None
     state: Tensor | None
-    passed: list[tuple[Tensor, Tensor]] = field(default_factory=list)
     gated: bool = False
 
     def bits(self, salt: Salt, *words: int | Tensor) -> Int[Tensor, "*batch agent n"]:
@@ -47,11 +46,13 @@ class Step:
         assert self.seed is not None
         return random_bits(int(salt), self.seed.unsqueeze(-1), *words)
 
-    def uniform(self, salt: Salt, count: int, turn: int = 0) -> Float[Tensor, "*batch agent n"]:
+    def uniform(
+        self, salt: Salt, count: int, round_index: int = 0
+    ) -> Float[Tensor, "*batch agent n"]:
         """Return `count` numbers in (0, 1) for each robot: a function of its seed alone."""
         assert self.seed is not None
         index = torch.arange(count, device=self.seed.device)
-        return _to_unit(self.bits(salt, turn, index))
+        return _to_unit(self.bits(salt, round_index, index))
 
     def uniform_of_edges(self, salt: Salt) -> Float[Tensor, "*batch agent other"]:
         """Return a number in (0, 1) for each [i, j]: a function of the seeds of i and of j.
@@ -61,23 +62,25 @@ class Step:
         assert self.seed is not None
         return _to_unit(self.bits(salt, self.seed.unsqueeze(-2)))
 
-    def normal(self, salt: Salt, count: int, turn: int = 0) -> Float[Tensor, "*batch agent n"]:
+    def normal(
+        self, salt: Salt, count: int, round_index: int = 0
+    ) -> Float[Tensor, "*batch agent n"]:
         """Return `count` standard normal numbers for each robot (Box and Muller, 1958)."""
-        first, second = self.uniform(salt, 2 * count, turn).chunk(2, dim=-1)
+        first, second = self.uniform(salt, 2 * count, round_index).chunk(2, dim=-1)
         return (-2 * first.log()).sqrt() * (tau * second).cos()
 
     def unless_silent(
         self,
-        said: Float[Tensor, "*batch agent message"],
+        sent: Float[Tensor, "*batch agent message"],
         heard: Float[Tensor, "*batch agent message"],
     ) -> Float[Tensor, "*batch agent message"]:
-        """Return what is heard, of who chose to be silent nothing: there, no noise is heard.
+        """Return what is heard; of a robot that chose to be silent nothing, not even noise.
 
-        Its zeros stay, as they were said, for by their gradient a gate learns where it is shut.
+        Its zeros stay as they were sent, for by their gradient a gate learns where it is shut.
         """
         if not self.gated:
             return heard
-        return torch.where(said.ne(0).any(-1, keepdim=True), heard, said)
+        return torch.where(sent.ne(0).any(-1, keepdim=True), heard, sent)
 
 
 def _to_unit(bits: Int[Tensor, "..."]) -> Float[Tensor, "..."]:
@@ -86,7 +89,7 @@ def _to_unit(bits: Int[Tensor, "..."]) -> Float[Tensor, "..."]:
 
 
 class Channel(nn.Module):
-    """What becomes of messages on their way; this one does nothing.
+    """One transformation of messages between being sent and being heard; this one does nothing.
 
     Channels stack: what one lets through comes to the next. Draws are functions of the seeds that
     came with the observation, so a replayed frame loses the very messages that it lost, and how
@@ -94,7 +97,7 @@ class Channel(nn.Module):
 
     Attributes:
         draws: it needs seeds.
-        bits_per_number: what a number costs on this way; None: as it came.
+        bits_per_number: what a number costs over this channel; None: as it came.
         remembers: where what it carries from step to step stands in a frame; None: nowhere.
         steps_late: after how many steps its messages may be heard, so many do gradients go back.
     """
@@ -117,7 +120,7 @@ class Channel(nn.Module):
         self,
         message: Float[Tensor, "*batch agent message"],
         edges: Bool[Tensor, "*batch agent other"],
-        turn: int,
+        round_index: int,
         step: Step,
     ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
         """Return what is heard of a round's messages, and over which edges."""
@@ -127,6 +130,11 @@ class Channel(nn.Module):
         """Return the spec of what it carries, without batch; an episode starts with zeros."""
         raise NotImplementedError(f"{type(self).__name__} carries nothing")
 
-    def state_after(self, step: Step) -> Tensor:
-        """Return what it carries to the next step."""
+    def state_after(
+        self, step: Step, messages: Sequence[Tensor], edges: Sequence[Tensor]
+    ) -> Tensor:
+        """Return what it carries to the next step.
+
+        `messages` and `edges` are what came to this channel in this step, an entry for each round.
+        """
         raise NotImplementedError(f"{type(self).__name__} carries nothing")

@@ -12,7 +12,7 @@ class Budget(Channel):
     """Let each robot send at most so many messages a step, to its nearest neighbours.
 
     A message is one round over one edge, so a scheme of K rounds talks to `messages // K` robots.
-    Who is not written to costs nothing.
+    A robot that is not written to costs nothing.
 
     Args:
         messages: the most messages of one robot in one step.

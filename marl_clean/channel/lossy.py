@@ -1,5 +1,7 @@
 """Messages get lost: each edge for itself, or in bursts."""
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -19,7 +21,7 @@ class Lossy(Channel):
         lost with probability loss while good, burst_loss while bad
 
     With burst_start = 0, losses are independent of each other. A lost message is paid for, and
-    nobody is told; the reward does not depend on it.
+    nobody knows of it; the reward does not depend on it.
 
     Source: E. N. Gilbert, "Capacity of a burst-noise channel" (1960); E. O. Elliott (1963).
 
@@ -49,19 +51,24 @@ class Lossy(Channel):
         self,
         message: Float[Tensor, "*batch agent message"],
         edges: Bool[Tensor, "*batch agent other"],
-        turn: int,
+        round_index: int,
         step: Step,
     ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
         drawn = step.uniform_of_edges(Salt.LOSS)
         if step.state is None:
             return message, edges & (drawn >= self.loss)
-        lost = torch.where(self.state_after(step), drawn < self.burst_loss, drawn < self.loss)
+        lost = torch.where(self.bursts(step), drawn < self.burst_loss, drawn < self.loss)
         return message, edges & ~lost
 
     def state_spec(self, n_agents: int, message_dims: Dims) -> TensorSpec:
         return Binary(shape=(n_agents, n_agents), dtype=torch.bool)
 
-    def state_after(self, step: Step) -> Bool[Tensor, "*batch agent other"]:
+    def state_after(
+        self, step: Step, messages: Sequence[Tensor], edges: Sequence[Tensor]
+    ) -> Bool[Tensor, "*batch agent other"]:
+        return self.bursts(step)
+
+    def bursts(self, step: Step) -> Bool[Tensor, "*batch agent other"]:
         """Return which edges are bad in this step."""
         assert step.state is not None
         drawn = step.uniform_of_edges(Salt.BURST)

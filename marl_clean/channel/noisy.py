@@ -1,4 +1,4 @@
-"""Noise is added to every number on its way."""
+"""Noise is added to every number."""
 
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -10,7 +10,7 @@ from marl_clean.settings import PositiveFloat
 class Noisy(Channel):
     """Add Gaussian noise to what is heard: m + std z, z standard normal.
 
-    One draw for each number that a robot sends, the same for all who hear it. Noise passes
+    One draw for each number that a robot sends, the same for all that hear it. Noise passes
     gradients on as they are.
 
     Args:
@@ -27,8 +27,8 @@ class Noisy(Channel):
         self,
         message: Float[Tensor, "*batch agent message"],
         edges: Bool[Tensor, "*batch agent other"],
-        turn: int,
+        round_index: int,
         step: Step,
     ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
-        noise = step.normal(Salt.NOISE, message.shape[-1], turn)
+        noise = step.normal(Salt.NOISE, message.shape[-1], round_index)
         return step.unless_silent(message, message + self.std * noise.to(message.dtype)), edges

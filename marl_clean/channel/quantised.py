@@ -14,7 +14,7 @@ class Quantised(Channel):
         heard = level width - limit
 
     Gradients pass as if nothing were rounded (straight-through, arXiv 1308.3432); beyond the
-    limits there is none. A number costs b bits; what a scheme says in bits already, such as dial,
+    limits there is none. A number costs b bits; what a scheme sends in bits already, such as dial,
     costs no less for it.
 
     Args:
@@ -30,7 +30,7 @@ class Quantised(Channel):
         self,
         message: Float[Tensor, "*batch agent message"],
         edges: Bool[Tensor, "*batch agent other"],
-        turn: int,
+        round_index: int,
         step: Step,
     ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
         assert self.bits_per_number is not None

@@ -1,9 +1,9 @@
 """Products over live edges: by matrices, and yet nothing crosses a dead one, not even NaN.
 
-Spreading values over all pairs of robots and masking them is the plain way; it moves n x n x width
-numbers. A product by matrices moves n x n + n x width, but 0 x NaN is NaN. So who is not finite
-is left out of the product, and whoever has a live edge to it is told so: its row is NaN. The two
-products are each other's gradients, which so keep to live edges as well.
+Spreading values over all pairs of robots and masking them is simpler; it moves n x n x width
+numbers. A product by matrices moves n x n + n x width, but 0 x NaN is NaN. So a value that is not
+finite is left out of the product, and the row of each robot with a live edge to it is set to NaN.
+The two products are each other's gradients, which so keep to live edges as well.
 """
 
 from typing import Any
@@ -21,7 +21,7 @@ def weigh_live(
 ) -> Float[Tensor, "*batch agent width"]:
     """Return for each robot the sum over its live edges of weight_ij value_j; 0 without any.
 
-    A value that is not finite makes all of the row NaN of who has a live edge to it.
+    A value that is not finite makes all of the row NaN of each robot that has a live edge to it.
     """
     return _Weigh.apply(weight, value, live)
 
@@ -40,9 +40,9 @@ class _Weigh(Function):
 
     @staticmethod
     def forward(weight: Tensor, value: Tensor, live: Tensor) -> Tensor:
-        ill = (0 * value.sum(-1)).unsqueeze(-2)  # NaN of who is not finite, else 0
-        told = torch.where(live, ill, 0.0).sum(-1, keepdim=True)
-        return torch.where(live, weight, 0.0) @ value.nan_to_num(0.0, 0.0, 0.0) + told
+        nan_or_zero = (0 * value.sum(-1)).unsqueeze(-2)  # NaN for a robot that is not finite
+        poison = torch.where(live, nan_or_zero, 0.0).sum(-1, keepdim=True)
+        return torch.where(live, weight, 0.0) @ value.nan_to_num(0.0, 0.0, 0.0) + poison
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor, Tensor, Tensor], output: Tensor) -> None:

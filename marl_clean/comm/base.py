@@ -22,11 +22,11 @@ class NoisyWhileLearning(nn.Module):
 
 
 class Delivery(ABC):
-    """One step's way of all messages.
+    """One step's transport of all messages.
 
     Attributes:
-        sent: `[*B, n, n]` bool, [i, j]: j sends to i, and pays for it, heard or not.
-        bits_per_number: what a number costs on this way; None: as the scheme makes it.
+        sent: `[*B, n, n]` bool, [i, j]: j sends to i, and pays for it, received or not.
+        bits_per_number: what a number costs over these channels; None: as the scheme makes it.
     """
 
     sent: Tensor
@@ -34,9 +34,12 @@ class Delivery(ABC):
 
     @abstractmethod
     def __call__(
-        self, message: Float[Tensor, "*batch agent message"], turn: int
+        self, message: Float[Tensor, "*batch agent message"], round_index: int
     ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
-        """Send the messages of round `turn`; return those heard now, and [i, j]: i hears j's."""
+        """Send a round's messages; return those heard now, and over which live edges.
+
+        Edge [i, j]: robot i hears the message of robot j.
+        """
 
 
 class Direct(Delivery):
@@ -46,7 +49,7 @@ class Direct(Delivery):
         self.sent = adjacency
 
     def __call__(
-        self, message: Float[Tensor, "*batch agent message"], turn: int
+        self, message: Float[Tensor, "*batch agent message"], round_index: int
     ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
         return message, self.sent
 
@@ -56,7 +59,7 @@ class Talk(NamedTuple):
 
     Attributes:
         feature: `[*B, n, out_features]`, what the robots know now.
-        message: `[*B, n, sum of message_dims]`, what each sent, its rounds side by side.
+        message: `[*B, n, sum of message_dims]`, what each sent, all rounds side by side.
         edges: `[*B, n, rounds]`, over how many edges each sent in each round.
         bits: `[*B, n, 1]`, what that cost.
         attention: `[*B, head, n, n]`, how much each robot attended to each in the last round; None
@@ -71,15 +74,16 @@ class Talk(NamedTuple):
 
 
 class Comm(nn.Module, ABC):
-    """Turn features of robots and who may talk to whom into features that know of each other.
+    """Let robots talk over a graph: from features of each robot to features that know of others.
 
         state = begin(h)
         each round: m_j = speak(state)_j,    state_i = listen(state, the m_j that reached i)_i
         h' = end(state)
 
-    A scheme is what is said and what is made of it; how messages fare on the way is a matter of
-    the channel. A robot sends its message to each robot it may talk to, whether or not that one
-    makes use of it, and every round costs: edges x numbers in a message x bits of a number.
+    A scheme is what is sent and what is made of it; what becomes of a message before it is heard
+    is a matter of the channel. A robot sends its message to each robot it may talk to, whether or
+    not that robot makes use of it, and every round costs: edges x numbers in a message x bits of a
+    number.
     Results depend on live edges only, and not on how the robots are numbered. A dead edge is
     masked, so that not even NaN crosses it, in either direction of the arithmetic (`live_edges`).
 
@@ -110,19 +114,19 @@ class Comm(nn.Module, ABC):
         """Whether robots may choose to be silent; then their message is all zeros."""
         return type(self).gate is not Comm.gate
 
-    def numbers(self, turn: int) -> int:
-        """Return how many numbers a message of round `turn` is paid for."""
-        return self.message_dims[turn]
+    def numbers(self, round_index: int) -> int:
+        """Return how many numbers a message of round `round_index` is paid for."""
+        return self.message_dims[round_index]
 
     def begin(self, feature: Float[Tensor, "*batch agent feature"]) -> Any:
         """Return what the first round starts from: tensors `[*B, n, ...]`, one or several."""
         return feature
 
     @abstractmethod
-    def speak(self, state: Any, turn: int) -> Float[Tensor, "*batch agent message"]:
-        """Return what each robot sends in round `turn`, the same to all that it talks to."""
+    def speak(self, state: Any, round_index: int) -> Float[Tensor, "*batch agent message"]:
+        """Return what each robot sends in round `round_index`, the same to all that it talks to."""
 
-    def gate(self, state: Any, turn: int) -> Float[Tensor, "*batch agent 1"] | None:
+    def gate(self, state: Any, round_index: int) -> Float[Tensor, "*batch agent 1"] | None:
         """Return 1 for each robot that speaks and 0 for the others; None: all do."""
         return None
 
@@ -133,9 +137,9 @@ class Comm(nn.Module, ABC):
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
         distance_rank: Int[Tensor, "*batch agent other"],
-        turn: int,
+        round_index: int,
     ) -> Any:
-        """Return the state after round `turn`: robot i heard the message of each live [i, j].
+        """Return the state after a round: robot i heard the message of j over each live [i, j].
 
         `distance_rank` [i, j] is the rank of j among the others seen from i: 0 is i itself, 1
         its nearest.
@@ -157,21 +161,21 @@ class Comm(nn.Module, ABC):
         delivery: Delivery | None = None,
     ) -> Talk:
         """Let the robots talk: round by round, over `delivery`, without one as if at no loss."""
-        way: Delivery = delivery or Direct(adjacency)
-        price = min(self.bits_per_number, way.bits_per_number or self.bits_per_number)
+        delivery = delivery or Direct(adjacency)
+        price = min(self.bits_per_number, delivery.bits_per_number or self.bits_per_number)
         state, sent = self.begin(feature), [feature[..., :0]]
-        receivers = way.sent.sum(-2).unsqueeze(-1).to(feature.dtype)
+        receivers = delivery.sent.sum(-2).unsqueeze(-1).to(feature.dtype)
         edges, bits = [receivers[..., :0]], torch.zeros_like(receivers)
-        for turn in range(self.rounds):
-            message, gate = self.speak(state, turn), self.gate(state, turn)
+        for round_index in range(self.rounds):
+            message, gate = self.speak(state, round_index), self.gate(state, round_index)
             reached = receivers
             if gate is not None:
                 message, reached = gate * message, gate.detach() * receivers
             sent.append(message)
             edges.append(reached)
-            bits = bits + price * self.numbers(turn) * reached
-            heard, live = way(message, turn)
-            state = self.listen(state, heard, live, distance_rank, turn)
+            bits = bits + price * self.numbers(round_index) * reached
+            heard, live = delivery(message, round_index)
+            state = self.listen(state, heard, live, distance_rank, round_index)
         message, reached = torch.cat(sent, dim=-1), torch.cat(edges, dim=-1)
         return Talk(self.end(state), message, reached, bits, self.attention(state))
 

@@ -53,7 +53,7 @@ class CommNet(Comm):
         skip = self.skip(feature)
         return skip, skip.tanh()
 
-    def speak(self, state: State, turn: int) -> Float[Tensor, "*batch agent hidden"]:
+    def speak(self, state: State, round_index: int) -> Float[Tensor, "*batch agent hidden"]:
         return outgoing(state[1], self.detach)
 
     def listen(
@@ -62,10 +62,10 @@ class CommNet(Comm):
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
         distance_rank: Int[Tensor, "*batch agent other"],
-        turn: int,
+        round_index: int,
     ) -> State:
         skip, hidden, *further = state
-        own, others = self.own[turn], self.heard[turn]
+        own, others = self.own[round_index], self.heard[round_index]
         return skip, torch.tanh(skip + own(hidden) + others(self.mean(heard, live))), *further
 
     def end(self, state: State) -> Float[Tensor, "*batch agent hidden"]:

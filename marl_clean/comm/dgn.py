@@ -18,7 +18,7 @@ class Dgn(Comm):
         each round: h'_i = relu(W [c_i^1, ..., c_i^M])
         result: [h^0, h^1, ..., h^K], h^0 the encoder's
 
-    A robot sends its features h, and who hears them makes keys and values of them; each round
+    A robot sends its features h, and each receiver makes keys and values of them; each round
     has weights of its own.
 
     With `pull`, a loss holds each robot's attention in the last round to what it will be: the
@@ -59,7 +59,7 @@ class Dgn(Comm):
     def begin(self, feature: Float[Tensor, "*batch agent feature"]) -> State:
         return [feature], None
 
-    def speak(self, state: State, turn: int) -> Float[Tensor, "*batch agent message"]:
+    def speak(self, state: State, round_index: int) -> Float[Tensor, "*batch agent message"]:
         return outgoing(state[0][-1], self.detach)
 
     def listen(
@@ -68,12 +68,12 @@ class Dgn(Comm):
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
         distance_rank: Int[Tensor, "*batch agent other"],
-        turn: int,
+        round_index: int,
     ) -> State:
         (*before, last), _ = state
-        query, key_and_value = self.query[turn], self.key_and_value[turn]
+        query, key_and_value = self.query[round_index], self.key_and_value[round_index]
         own = self.by_head(key_and_value(last))
-        unchanged = heard is last  # on the way: then keys and values are made once, for all
+        unchanged = heard is last  # by the channel: then keys and values are made once, for all
         every_head = live.unsqueeze(-3).expand(*live.shape[:-2], self.heads, *live.shape[-2:])
         summed, attention = attend(
             self.by_head(query(last)),
@@ -82,7 +82,7 @@ class Dgn(Comm):
             self.scale,
             own=own,
         )
-        new = self.join[turn](summed.transpose(-2, -3).flatten(-2))
+        new = self.join[round_index](summed.transpose(-2, -3).flatten(-2))
         return [*before, last, new], attention
 
     def end(self, state: State) -> Float[Tensor, "*batch agent joined"]:

@@ -66,6 +66,6 @@ class Dial(Plan):
         self.bits = Bits(noise_std)
 
     def speak(
-        self, state: Float[Tensor, "*batch agent feature"], turn: int
+        self, state: Float[Tensor, "*batch agent feature"], round_index: int
     ) -> Float[Tensor, "*batch agent message"]:
-        return self.bits(super().speak(state, turn))
+        return self.bits(super().speak(state, round_index))

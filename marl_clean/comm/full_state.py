@@ -25,8 +25,8 @@ class FullState(Comm):
         sum:     c_i = sum over live edges of r_j
         h'_i = relu(W [relu(W_o h_i), c_i])
 
-    All robots share the encoder, so the message is told as its feature h_j; what would be sent
-    is the observation, and the bits are those of its numbers.
+    All robots share the encoder, so the message is computed as its feature h_j; what would be
+    sent is the observation, and the bits are those of its numbers.
 
     Source: paper §3.4, first option.
 
@@ -59,11 +59,11 @@ class FullState(Comm):
         self.join = dense(hidden + received * (self.places or 1), hidden)
         self.message_dims, self.out_features = (in_features,), hidden
 
-    def numbers(self, turn: int) -> int:
+    def numbers(self, round_index: int) -> int:
         return self.observed
 
     def speak(
-        self, state: Float[Tensor, "*batch agent feature"], turn: int
+        self, state: Float[Tensor, "*batch agent feature"], round_index: int
     ) -> Float[Tensor, "*batch agent feature"]:
         return outgoing(state, self.detach)
 
@@ -73,7 +73,7 @@ class FullState(Comm):
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
         distance_rank: Int[Tensor, "*batch agent other"],
-        turn: int,
+        round_index: int,
     ) -> Float[Tensor, "*batch agent joined"]:
         received = self.received(heard)
         if self.places is None:

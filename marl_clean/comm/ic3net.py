@@ -34,14 +34,14 @@ class Gate(NoisyWhileLearning):
 
 
 class Ic3Net(CommNet):
-    """Hear the sum of what others choose to say, over how many others there are.
+    """Hear the sum of what others choose to send, over how many others there are.
 
         x_i = W_x feature_i,    h_i = tanh(x_i),    g_i = gate(h_i), 0 or 1, once a step
         each round: h'_i = tanh(x_i + F h_i + C sum over live edges of g_j h_j / (n - 1))
 
     Silence dilutes: the divisor is all other robots, so the result depends on how many there are,
     also out of reach. Who does not speak pays nothing. The gate learns by straight-through Gumbel
-    from the hearers' losses, also where it is shut.
+    from the receivers' losses, also where it is shut.
 
     Source: arXiv 1812.09755, a value-based port: there the gate is an action of policy gradients,
     it takes effect a step later, and a robot remembers by an LSTM (here `encoder.memory`).
@@ -69,5 +69,5 @@ class Ic3Net(CommNet):
         skip, hidden = super().begin(feature)
         return skip, hidden, self.speaks(outgoing(hidden, self.detach))
 
-    def gate(self, state: State, turn: int) -> Float[Tensor, "*batch agent 1"]:
+    def gate(self, state: State, round_index: int) -> Float[Tensor, "*batch agent 1"]:
         return state[2]

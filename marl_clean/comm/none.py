@@ -14,7 +14,7 @@ class Silent(Comm):
         self.message_dims, self.out_features = (), in_features
 
     def speak(
-        self, state: Float[Tensor, "*batch agent feature"], turn: int
+        self, state: Float[Tensor, "*batch agent feature"], round_index: int
     ) -> Float[Tensor, "*batch agent 0"]:
         return state[..., :0]
 
@@ -24,6 +24,6 @@ class Silent(Comm):
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
         distance_rank: Int[Tensor, "*batch agent other"],
-        turn: int,
+        round_index: int,
     ) -> Float[Tensor, "*batch agent feature"]:
         return state

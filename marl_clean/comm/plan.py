@@ -51,7 +51,7 @@ class Plan(Comm):
         self.message_dims, self.out_features = (message_dim,), hidden
 
     def speak(
-        self, state: Float[Tensor, "*batch agent feature"], turn: int
+        self, state: Float[Tensor, "*batch agent feature"], round_index: int
     ) -> Float[Tensor, "*batch agent message"]:
         return self.message(state)
 
@@ -61,7 +61,7 @@ class Plan(Comm):
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
         distance_rank: Int[Tensor, "*batch agent other"],
-        turn: int,
+        round_index: int,
     ) -> Float[Tensor, "*batch agent joined"]:
         received = self.received(heard)
         if self.places is None:

@@ -1,4 +1,4 @@
-"""TarMAC: robots say what their message is about, and hearers look for what they need."""
+"""TarMAC: messages carry a signature, and receivers look for what they need."""
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -9,7 +9,7 @@ from marl_clean.settings import PositiveInt
 
 
 class TarMac(Comm):
-    """Send a signature and a value; hearers weigh values by how signatures meet their query.
+    """Send a signature and a value; receivers weigh values by how signatures meet their query.
 
         k_j = W_k h_j,  v_j = W_v h_j    sent;    q_i = W_q h_i    kept
         a_ij = softmax over live edges of q_i . k_j / sqrt(d_key),    c_i = sum over j of a_ij v_j
@@ -46,7 +46,7 @@ class TarMac(Comm):
         self.message_dims, self.out_features = (key_dim + message_dim,) * rounds, in_features
 
     def speak(
-        self, state: Float[Tensor, "*batch agent feature"], turn: int
+        self, state: Float[Tensor, "*batch agent feature"], round_index: int
     ) -> Float[Tensor, "*batch agent message"]:
         return self.message(outgoing(state, self.detach))
 
@@ -56,7 +56,7 @@ class TarMac(Comm):
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
         distance_rank: Int[Tensor, "*batch agent other"],
-        turn: int,
+        round_index: int,
     ) -> Float[Tensor, "*batch agent feature"]:
         own = self.message(state) if self.self_included else None
         sum_of_values, _ = attend(self.query(state), heard, live, self.scale, own)

@@ -12,7 +12,7 @@ class Zeroed(Plan):
 
         h'_i = relu(W [relu(W_o h_i), 0])
 
-    So `plan` against `zeroed` tells what messages bring, and `zeroed` against `none` what a
+    So `plan` against `zeroed` shows what messages bring, and `zeroed` against `none` what a
     larger network brings. Settings are those of `marl_clean.comm.plan.Plan`. Messages are still
     made and masked, so a step takes as long and every weight has a gradient, which is 0.
 

@@ -1,11 +1,11 @@
 """What if messages were others? Changes to a trained policy's messages, put behind its channel.
 
-Each is a channel nearest to the hearer: what is sent, and what it costs, stays as it is. None is
+Each is a channel nearest to the receiver: what is sent, and what it costs, stays as it is. None is
 to be trained with. Source of the question: arXiv 1903.05168.
 """
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from jaxtyping import Bool, Float
@@ -14,7 +14,7 @@ from torchrl.data import TensorSpec, Unbounded
 
 from marl_clean import keys
 from marl_clean.channel.base import Channel, Dims, Salt, Step
-from marl_clean.channel.delayed import Later
+from marl_clean.channel.delayed import Later, parts_of
 from marl_clean.config.schema import choices
 from marl_clean.errors import BadInput
 from marl_clean.learning.acting import Greedy
@@ -26,7 +26,9 @@ Edges = Bool[Tensor, "*batch agent other"]
 class Zero(Channel):
     """Hear zeros, over the same edges."""
 
-    def carry(self, message: Message, edges: Edges, turn: int, step: Step) -> tuple[Message, Edges]:
+    def carry(
+        self, message: Message, edges: Edges, round_index: int, step: Step
+    ) -> tuple[Message, Edges]:
         return torch.zeros_like(message), edges
 
 
@@ -34,7 +36,7 @@ class Shuffle(Channel):
     """Hear another's message: of another robot, of this world or another, in the same step.
 
     All robots still playing stand in a row drawn anew each step, and of each is heard what the one
-    `shift` places on says; never its own, where there is another.
+    `shift` places on sends; never its own, where there is another.
     """
 
     draws = True
@@ -43,7 +45,9 @@ class Shuffle(Channel):
         super().__init__()
         self.shift = shift
 
-    def carry(self, message: Message, edges: Edges, turn: int, step: Step) -> tuple[Message, Edges]:
+    def carry(
+        self, message: Message, edges: Edges, round_index: int, step: Step
+    ) -> tuple[Message, Edges]:
         words = torch.zeros(1, dtype=torch.int64, device=message.device)
         order = step.bits(Salt.ORDER, words).flatten().argsort()
         shift = 1 + (self.shift - 1) % max(1, len(order) - 1)
@@ -53,37 +57,46 @@ class Shuffle(Channel):
 
 
 class Freeze(Channel):
-    """Hear of each robot what it said in the first step of the episode."""
+    """Hear of each robot what it sent in the first step of the episode."""
 
     remembers = keys.FROZEN
 
-    def carry(self, message: Message, edges: Edges, turn: int, step: Step) -> tuple[Message, Edges]:
+    def __init__(self, message_dims: Dims) -> None:
+        super().__init__()
+        self.parts = parts_of(message_dims)
+
+    def carry(
+        self, message: Message, edges: Edges, round_index: int, step: Step
+    ) -> tuple[Message, Edges]:
         assert step.state is not None
-        start = sum(passed.shape[-1] for passed, _ in step.passed[:-1])
-        first = step.state[..., start : start + message.shape[-1]]
+        first = step.state[..., self.parts[round_index]]
         return torch.where(step.state[..., -1:] > 0, first, message), edges
 
     def state_spec(self, n_agents: int, message_dims: Dims) -> TensorSpec:
         return Unbounded(shape=(n_agents, sum(message_dims) + 1))
 
-    def state_after(self, step: Step) -> Tensor:
+    def state_after(
+        self, step: Step, messages: Sequence[Tensor], edges: Sequence[Tensor]
+    ) -> Tensor:
         assert step.state is not None
-        said = torch.cat([message for message, _ in step.passed], dim=-1)
-        said = torch.cat([said, torch.ones_like(said[..., :1])], dim=-1)
-        return torch.where(step.state[..., -1:] > 0, step.state, said)
+        is_frozen = torch.ones_like(messages[0][..., :1])
+        now = torch.cat([*messages, is_frozen], dim=-1)
+        return torch.where(step.state[..., -1:] > 0, step.state, now)
 
 
 class Noise(Channel):
     """Hear each number with Gaussian noise as large as it varies itself, between robots now.
 
-    Of who chose to be silent there is nothing to hear, nor any noise.
+    Of a robot that chose to be silent there is nothing to hear, nor any noise.
     """
 
     draws = True
 
-    def carry(self, message: Message, edges: Edges, turn: int, step: Step) -> tuple[Message, Edges]:
+    def carry(
+        self, message: Message, edges: Edges, round_index: int, step: Step
+    ) -> tuple[Message, Edges]:
         std = message.flatten(0, -2).std(0, correction=0)
-        noise = step.normal(Salt.NOISE, message.shape[-1], turn)
+        noise = step.normal(Salt.NOISE, message.shape[-1], round_index)
         return step.unless_silent(message, message + std * noise.to(message.dtype)), edges
 
 
@@ -96,7 +109,9 @@ class Late(Later):
 class Open(Channel):
     """Hear everybody, in contact or not."""
 
-    def carry(self, message: Message, edges: Edges, turn: int, step: Step) -> tuple[Message, Edges]:
+    def carry(
+        self, message: Message, edges: Edges, round_index: int, step: Step
+    ) -> tuple[Message, Edges]:
         itself = torch.eye(edges.shape[-1], dtype=torch.bool, device=edges.device)
         return message, (~itself).expand(edges.shape)
 
@@ -104,14 +119,16 @@ class Open(Channel):
 class Shut(Channel):
     """Hear nobody."""
 
-    def carry(self, message: Message, edges: Edges, turn: int, step: Step) -> tuple[Message, Edges]:
+    def carry(
+        self, message: Message, edges: Edges, round_index: int, step: Step
+    ) -> tuple[Message, Edges]:
         return message, torch.zeros_like(edges)
 
 
 INTERVENTIONS: dict[str, Callable[[Dims], Channel]] = {
     "zero": lambda dims: Zero(),
     "shuffle": lambda dims: Shuffle(),
-    "freeze": lambda dims: Freeze(),
+    "freeze": Freeze,
     "noise": lambda dims: Noise(),
     "delay": lambda dims: Late(1, dims),
     "open": lambda dims: Open(),
@@ -138,8 +155,8 @@ def talking(policy: nn.Module, name: str) -> Greedy:
     return policy
 
 
-def intervened(policy: Greedy, way: Callable[[Dims], Channel]) -> Greedy:
+def intervened(policy: Greedy, channel: Callable[[Dims], Channel]) -> Greedy:
     """The same policy, hearing through one more channel."""
     network = copy.deepcopy(policy.network)
-    network.put_behind(way(tuple(network.comm.message_dims)))
+    network.put_behind(channel(tuple(network.comm.message_dims)))
     return Greedy(network, policy.n_agents, plays=True, tells=True).eval()

@@ -15,7 +15,7 @@ from marl_clean.channel.delayed import Later
 from marl_clean.channel.perfect import Perfect
 from marl_clean.comm.base import Comm, Delivery, NoisyWhileLearning, Talk
 from marl_clean.encoder.base import Encoder
-from marl_clean.learning.crossing import Crossing, Repeated
+from marl_clean.learning.delivery import Repeated, Stacked
 from marl_clean.settings import Precision
 
 Carried = tuple[Tensor, ...]  # from one step to the next, in the order of `carries`
@@ -73,11 +73,11 @@ class RobotsNetwork(nn.Module):
         self.comm = comm
         self.reduced = precision == "bfloat16"
         self.head = nn.Linear(comm.out_features, outputs)
-        ways = {name: way for name, way in channels.items() if not isinstance(way, Perfect)}
+        crossed = {name: each for name, each in channels.items() if not isinstance(each, Perfect)}
         if comm.delay_steps:
-            ways = {"later": Later(comm.delay_steps, tuple(comm.message_dims)), **ways}
-        self.channel = nn.ModuleDict(ways if comm.rounds else {})
-        self.ways: list[Channel] = list(self.channel.values())  # type: ignore[arg-type]
+            crossed = {"later": Later(comm.delay_steps, tuple(comm.message_dims)), **crossed}
+        self.channel = nn.ModuleDict(crossed if comm.rounds else {})  # as weights name it
+        self.stack: list[Channel] = list(self.channel.values())  # type: ignore[arg-type]
         self._look_through()
 
     @property
@@ -85,29 +85,30 @@ class RobotsNetwork(nn.Module):
         """Whether it learns from frames in a row."""
         return self.history > 0
 
-    def put_behind(self, way: Channel) -> None:
-        """Let messages cross one more channel, nearest to the hearer; nothing of it is kept."""
-        self.ways.append(way)
+    def put_behind(self, channel: Channel) -> None:
+        """Let messages cross one more channel, nearest to the receiver; nothing of it is kept."""
+        self.stack.append(channel)
         self._look_through()
 
     def _look_through(self) -> None:
         """Find out what the channels need of a frame."""
-        self.draws = any(way.draws for way in self.ways)
+        self.draws = any(channel.draws for channel in self.stack)
         memory = () if self.encoder.memory is None else (keys.HIDDEN,)
-        self.carries = (*memory, *(way.remembers for way in self.ways if way.remembers is not None))
+        remembered = (channel.remembers for channel in self.stack)
+        self.carries = (*memory, *(key for key in remembered if key is not None))
         drawn = (keys.CHANNEL_SEED,) if self.draws else ()
         self.sees = (keys.OBSERVATION, keys.ADJACENCY, keys.DISTANCE_RANK, *drawn, *self.carries)
-        self.history = max(len(memory), sum(way.steps_late for way in self.ways))
+        self.history = max(len(memory), sum(channel.steps_late for channel in self.stack))
 
     def state_specs(self, n_agents: int) -> dict[NestedKey, TensorSpec]:
         """Return the spec of each key of `carries`, without batch."""
         specs = {}
         if self.encoder.memory is not None:
             specs[keys.HIDDEN] = Unbounded(shape=(n_agents, self.encoder.memory.hidden_size))
-        for way in self.ways:
-            if way.remembers is not None:
-                dims = tuple(self.comm.message_dims)
-                specs[way.remembers] = way.state_spec(n_agents, dims)
+        dims = tuple(self.comm.message_dims)
+        for channel in self.stack:
+            if channel.remembers is not None:
+                specs[channel.remembers] = channel.state_spec(n_agents, dims)
         return specs
 
     def forward(
@@ -148,14 +149,14 @@ class RobotsNetwork(nn.Module):
             flat = feature.flatten(0, -2), given.pop(0).flatten(0, -2)
             feature = self.encoder.memory(*flat).unflatten(0, feature.shape[:-1])
             carried.append(feature)
-        states = [None if way.remembers is None else given.pop(0) for way in self.ways]
+        states = [None if each.remembers is None else given.pop(0) for each in self.stack]
         rounds = self.comm.rounds
         gated = self.comm.gated
-        crossing = Crossing(self.ways, adjacency, distance_rank, rounds, seed, states, gated)
+        stacked = Stacked(self.stack, adjacency, distance_rank, rounds, seed, states, gated)
         dims = self.comm.message_dims[:rounds]
-        way: Delivery = crossing if said is None else Repeated(crossing, said, dims)
-        talk = self.comm(feature, adjacency, distance_rank, way)
-        return self.out(talk.feature), talk, (*carried, *crossing.states_after())
+        delivery: Delivery = stacked if said is None else Repeated(stacked, said, dims)
+        talk = self.comm(feature, adjacency, distance_rank, delivery)
+        return self.out(talk.feature), talk, (*carried, *stacked.states_after())
 
     def unroll(
         self,

@@ -59,11 +59,11 @@ def make_channel(level: str, dims: Sequence[int], **changes: Any) -> Channel:
 
 def network(comm: Comm, channels: Stack | dict[str, Channel]) -> RobotsNetwork:
     """A channel already made is taken as it is."""
-    ways = {
-        level: way if isinstance(way, Channel) else make_channel(level, comm.message_dims, **way)
-        for level, way in channels.items()
+    stack = {
+        level: each if isinstance(each, Channel) else make_channel(level, comm.message_dims, **each)
+        for level, each in channels.items()
     }
-    return RobotsNetwork(Same(), comm, 1, "float32", ways).double().eval()
+    return RobotsNetwork(Same(), comm, 1, "float32", stack).double().eval()
 
 
 def frames(steps: int, *batch: int, n_agents: int, share: float = 0.5, seed: int = 0) -> Frames:

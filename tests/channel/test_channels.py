@@ -80,7 +80,7 @@ def test_bursts_are_the_chain_that_gilbert_and_elliott_draw():
                     was = bool(plain[world, i, j])
                     plain[world, i, j] = (u >= 0.25) if was else (u < 0.05)
         _, edges = lossy.carry(MESSAGE[:400, :2], EVERYBODY[:400, :2, :2], 0, step)
-        state = lossy.state_after(step)
+        state = lossy.state_after(step, [], [])
         assert torch.equal(state[:3], plain[:3])
         if t >= 50:
             bad += state[:, 0, 1].float().mean().item() / 350
@@ -154,16 +154,15 @@ def test_what_is_heard_was_sent_so_many_steps_ago(late):
     past = moving(8)
     for t, (message, live) in enumerate(past):
         step = Step(None, state)
-        for turn, part in enumerate(message.split(DIMS, dim=-1)):
-            step.passed.append((part, live))
-            heard, edges = delayed.carry(part, live, turn, step)
+        for round_index, part in enumerate(message.split(DIMS, dim=-1)):
+            heard, edges = delayed.carry(part, live, round_index, step)
             if t < late:
                 assert not edges.any()
                 continue
             before, then = past[t - late]
-            assert torch.equal(heard, before.split(DIMS, dim=-1)[turn] + 0.5)
+            assert torch.equal(heard, before.split(DIMS, dim=-1)[round_index] + 0.5)
             assert torch.equal(edges, then)
-        state = delayed.state_after(step)
+        state = delayed.state_after(step, message.split(DIMS, dim=-1), [live, live])
 
 
 def test_drawn_ages_tell_themselves():
@@ -174,9 +173,8 @@ def test_drawn_ages_tell_themselves():
         step = Step(seeds(5, n_agents=4, seed=t), state)
         age = delayed.ages(step)
         ages += age.flatten().tolist()
-        for turn, part in enumerate(message.split(DIMS, dim=-1)):
-            step.passed.append((part, live))
-            heard, edges = delayed.carry(part, live, turn, step)
+        for round_index, part in enumerate(message.split(DIMS, dim=-1)):
+            heard, edges = delayed.carry(part, live, round_index, step)
             for world in range(5):
                 for sender in range(4):
                     a = int(age[world, sender])
@@ -184,10 +182,10 @@ def test_drawn_ages_tell_themselves():
                         assert not edges[world, :, sender].any()
                         continue
                     before, then = past[t - a]
-                    said = before.split(DIMS, dim=-1)[turn][world, sender]
+                    said = before.split(DIMS, dim=-1)[round_index][world, sender]
                     torch.testing.assert_close(heard[world, sender], said + 0.5 * a / 2)
                     assert torch.equal(edges[world, :, sender], then[world, :, sender])
-        state = delayed.state_after(step)
+        state = delayed.state_after(step, message.split(DIMS, dim=-1), [live, live])
     assert {0, 1, 2} == set(ages)
     assert all(abs(ages.count(a) / len(ages) - 1 / 3) < 0.07 for a in range(3))
 
@@ -198,30 +196,30 @@ class Free(Lossy):
     def address(self, edges, distance_rank, rounds):
         return torch.zeros_like(edges)
 
-    def carry(self, message, edges, turn, step):
+    def carry(self, message, edges, round_index, step):
         return message, edges
 
 
 class OffByOne(Later):
     """Heard a step earlier than it says."""
 
-    def carry(self, message, edges, turn, step):
+    def carry(self, message, edges, round_index, step):
         newest = step.state[..., 0, :]
-        return newest[..., self.parts[turn]], newest[..., self.words :].mT > 0
+        return newest[..., self.parts[round_index]], newest[..., self.width :].mT > 0
 
 
 class Endless(Lossy):
     """A burst never ends."""
 
-    def state_after(self, step):
-        return step.state | super().state_after(step)
+    def state_after(self, step, messages, edges):
+        return step.state | super().state_after(step, messages, edges)
 
 
 class Leaking(Quantised):
     """Rounds, and says the rest too."""
 
-    def carry(self, message, edges, turn, step):
-        heard, edges = super().carry(message, edges, turn, step)
+    def carry(self, message, edges, round_index, step):
+        heard, edges = super().carry(message, edges, round_index, step)
         return heard + 1e-3 * message, edges
 
 
@@ -235,15 +233,15 @@ class ByReceiver(Budget):
 class OneForAll(Noisy):
     """All robots' numbers get the same noise."""
 
-    def carry(self, message, edges, turn, step):
-        noise = step.normal(Salt.NOISE, message.shape[-1], turn)[..., :1, :]
+    def carry(self, message, edges, round_index, step):
+        noise = step.normal(Salt.NOISE, message.shape[-1], round_index)[..., :1, :]
         return message + self.std * noise.to(message.dtype), edges
 
 
 class Multiplying(Channel):
     """Silences edges by a product with 0 in the mail of all."""
 
-    def carry(self, message, edges, turn, step):
+    def carry(self, message, edges, round_index, step):
         return message + 0 * message.sum(-2, keepdim=True), edges
 
 
@@ -295,19 +293,17 @@ def late_by_two(make: Make) -> None:
     state, past = torch.zeros(5, 4, 2, 3 + 4), moving(4)
     for t, (message, live) in enumerate(past):
         step = Step(None, state)
-        step.passed.append((message[..., :2], live))
         heard, _ = later.carry(message[..., :2], live, 0, step)
-        step.passed.append((message[..., 2:], live))
         if t >= 2:
             assert torch.equal(heard, past[t - 2][0][..., :2])
-        state = later.state_after(step)
+        state = later.state_after(step, message.split(DIMS, dim=-1), [live, live])
 
 
 def bursts_end(make: Make) -> None:
     [lossy] = make(DIMS)
     state = torch.zeros(200, 2, 2, dtype=torch.bool)
     for t in range(60):
-        state = lossy.state_after(moment(200, 2, state, seed=t))
+        state = lossy.state_after(moment(200, 2, state, seed=t), [], [])
     assert state.float().mean() < 0.5
 
 

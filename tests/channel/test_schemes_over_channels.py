@@ -1,5 +1,7 @@
 """Every level of conf/comm keeps its contract over every level of conf/channel, step after step."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Tensor
@@ -89,7 +91,9 @@ def nothing_crosses_where_no_edge_was_ever_live(comm: Comm, stack: Stack) -> Non
 
 @over_all
 @for_all
-def test_nobody_hears_for_free_and_prices_are_those_of_the_way(level: str, stack: Stack) -> None:
+def test_nobody_hears_for_free_and_prices_are_those_of_the_channels(
+    level: str, stack: Stack
+) -> None:
     nobody_hears_for_free(make(level), stack)
 
 
@@ -97,13 +101,15 @@ def nobody_hears_for_free(comm: Comm, stack: Stack) -> None:
     """Whom a robot's words of one step move, then or later, is at most who was paid for."""
     net, given = network(comm, stack), frames(3, 20, n_agents=5, share=0.7)
     talks = play(net, given)
-    price = min([comm.bits_per_number, *(w.bits_per_number or 32 for w in net.ways)])
-    numbers = sum(comm.numbers(turn) for turn in range(comm.rounds)) / max(1, comm.rounds)
+    price = min([comm.bits_per_number, *(w.bits_per_number or 32 for w in net.stack)])
+    numbers = sum(comm.numbers(round_index) for round_index in range(comm.rounds)) / max(
+        1, comm.rounds
+    )
     for talk, live in zip(talks, given.live, strict=True):
         edges = talk.edges.sum(-1, keepdim=True)
         assert torch.equal(talk.bits, price * numbers * edges)
         assert (edges <= comm.rounds * live.sum(-2).unsqueeze(-1)).all()
-        if all(type(way).address is Channel.address for way in net.ways) and not comm.gated:
+        if all(type(each).address is Channel.address for each in net.stack) and not comm.gated:
             assert torch.equal(edges, comm.rounds * live.sum(-2).unsqueeze(-1).double())
     if comm.rounds != 1:
         return  # others pass on what they heard, and pay for it themselves
@@ -164,7 +170,7 @@ class Mute(CommNet):
         super().__init__(FEATURES, hidden=8, rounds=2, divisor="others", detach=False)
         self.shut = torch.nn.Parameter(torch.zeros(1))
 
-    def gate(self, state: tuple[Tensor, ...], turn: int) -> Tensor:
+    def gate(self, state: tuple[Tensor, ...], round_index: int) -> Tensor:
         return self.shut.expand(*state[1].shape[:-1], 1)
 
 
@@ -177,8 +183,8 @@ def silence_is_heard_as_silence(stack: Stack) -> None:
     torch.manual_seed(0)
     comm = Mute()
     net, given = network(comm, stack), frames(4, 8, n_agents=4, share=0.9)
-    for way in net.ways:
-        for weight in way.parameters():
+    for each in net.stack:
+        for weight in each.parameters():
             torch.nn.init.ones_(weight)
     talks = play(net, given)
     alone = play(net, given._replace(live=torch.zeros_like(given.live)))
@@ -198,9 +204,9 @@ def test_a_shut_gate_learns_over_every_channel(channel: str) -> None:
 class Spilling(Delayed):
     """What is under way of each robot is touched by everybody's."""
 
-    def state_after(self, step):
-        state = super().state_after(step)
-        return state + 0 * state[..., : self.words].sum((-1, -2, -3), keepdim=True)
+    def state_after(self, step, messages, edges):
+        state = super().state_after(step, messages, edges)
+        return state + 0 * state[..., : self.width].sum((-1, -2, -3), keepdim=True)
 
 
 class Unpaid(Budget):
@@ -210,16 +216,15 @@ class Unpaid(Budget):
         self.all = edges
         return super().address(edges, distance_rank, rounds)
 
-    def carry(self, message, edges, turn, step):
+    def carry(self, message, edges, round_index, step):
         return message, self.all
 
 
 class HissingNoise(Noisy):
     """Is heard where nobody speaks."""
 
-    def carry(self, message, edges, turn, step):
-        step.gated = False
-        return super().carry(message, edges, turn, step)
+    def carry(self, message, edges, round_index, step):
+        return super().carry(message, edges, round_index, replace(step, gated=False))
 
 
 def test_planted_defects_are_caught() -> None:

@@ -9,53 +9,56 @@ from torch import Tensor
 from marl_clean.channel.base import Channel, Step
 from marl_clean.channel.quantised import Quantised
 from marl_clean.config.compose import compose_config
-from marl_clean.learning.crossing import Crossing
+from marl_clean.learning.delivery import Stacked
 from tests.channel.played import LEVELS, Frames, frames, make_channel
 
 DIMS = (3, 2)
 CHANGES = {"lossy": {"burst_start": 0.3}, "delayed": {"steps": 2}, "budget": {"messages": 3}}
 
 
-def cross(ways: list[Channel], given: Frames) -> list[tuple[Tensor, Tensor]]:
+def cross(channels: list[Channel], given: Frames) -> list[tuple[Tensor, Tensor]]:
     """What is heard of each round of each step, and over which edges; nothing is carried in."""
     batch, n_agents = given.seed.shape[1:-1], given.seed.shape[-1]
     heard = []
-    carrying = [way.remembers is not None for way in ways]
-    kept = [w.state_spec(n_agents, DIMS).zero(batch) for w in ways if w.remembers is not None]
+    carrying = [channel.remembers is not None for channel in channels]
+    kept = [w.state_spec(n_agents, DIMS).zero(batch) for w in channels if w.remembers is not None]
     for said, live, rank, seed in zip(*given, strict=True):
         left = iter(kept)
         states = [next(left) if carries else None for carries in carrying]
-        crossing = Crossing(ways, live, rank, len(DIMS), seed, states)
+        delivery = Stacked(channels, live, rank, len(DIMS), seed, states)
         parts = said[..., : sum(DIMS)].float().split(DIMS, dim=-1)
-        heard += [crossing(part, turn) for turn, part in enumerate(parts)]
-        kept = crossing.states_after()
+        heard += [delivery(part, round_index) for round_index, part in enumerate(parts)]
+        kept = delivery.states_after()
     return heard
 
 
 @pytest.mark.parametrize("names", [*permutations(LEVELS, 2), ("lossy", "delayed", "quantised")])
 def test_what_one_lets_through_comes_to_the_next(names: tuple[str, ...]) -> None:
     """By hand, one channel after the other, over the edges that all of them let be written to."""
-    ways = [make_channel(name, DIMS, **CHANGES.get(name, {})) for name in names]
+    channels = [make_channel(name, DIMS, **CHANGES.get(name, {})) for name in names]
     given = frames(5, 4, n_agents=4, share=0.8)
-    found = iter(cross(ways, given))
+    found = iter(cross(channels, given))
     states = [
-        way.state_spec(4, DIMS).zero((4,)) if way.remembers is not None else None for way in ways
+        channel.state_spec(4, DIMS).zero((4,)) if channel.remembers is not None else None
+        for channel in channels
     ]
     for said, live, rank, seed in zip(*given, strict=True):
         sent = live
-        for way in ways:
-            sent = way.address(sent, rank, len(DIMS))
+        for channel in channels:
+            sent = channel.address(sent, rank, len(DIMS))
         steps = [Step(seed, state) for state in states]
-        for turn, part in enumerate(said[..., : sum(DIMS)].float().split(DIMS, dim=-1)):
+        messages, over_edges = [[] for _ in channels], [[] for _ in channels]
+        for round_index, part in enumerate(said[..., : sum(DIMS)].float().split(DIMS, dim=-1)):
             edges = sent
-            for way, step in zip(ways, steps, strict=True):
-                step.passed.append((part, edges))
-                part, edges = way.carry(part, edges, turn, step)
+            for index, channel in enumerate(channels):
+                messages[index].append(part)
+                over_edges[index].append(edges)
+                part, edges = channel.carry(part, edges, round_index, steps[index])
             heard, over = next(found)
             assert torch.equal(heard, part) and torch.equal(over, edges)
         states = [
-            way.state_after(step) if way.remembers is not None else None
-            for way, step in zip(ways, steps, strict=True)
+            channel.state_after(*came) if channel.remembers is not None else None
+            for channel, *came in zip(channels, steps, messages, over_edges, strict=True)
         ]
 
 

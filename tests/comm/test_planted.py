@@ -49,23 +49,23 @@ class Unscaled(TarMac):
 class EveryoneHeard(TarMac):
     """Attends to dead edges."""
 
-    def listen(self, state, heard, live, distance_rank, turn):
-        return super().listen(state, heard, distance_rank > 0, distance_rank, turn)
+    def listen(self, state, heard, live, distance_rank, round_index):
+        return super().listen(state, heard, distance_rank > 0, distance_rank, round_index)
 
 
 class OneRoundPaid(Dgn):
     """Charges for the first round only."""
 
-    def numbers(self, turn):
-        return super().numbers(turn) if turn == 0 else 0
+    def numbers(self, round_index):
+        return super().numbers(round_index) if round_index == 0 else 0
 
 
 class ByNumber(Plan):
     """Orders the neighbours by their numbers instead of their distance."""
 
-    def listen(self, state, heard, live, distance_rank, turn):
+    def listen(self, state, heard, live, distance_rank, round_index):
         number = torch.arange(state.shape[-2]).expand(distance_rank.shape)
-        return super().listen(state, heard, live, number.contiguous(), turn)
+        return super().listen(state, heard, live, number.contiguous(), round_index)
 
 
 class FarOff(CommNet):

@@ -1,6 +1,7 @@
 """Changed messages and what they do, by hand on numbers and in play."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -78,16 +79,15 @@ def test_two_robots_swap_and_one_alone_hears_itself():
 
 
 def test_frozen_messages_are_those_of_the_first_step_in_all_rounds():
-    freeze = Freeze()
+    freeze = Freeze((2, 2))
     state = torch.zeros(4, 3, 5)
     said = [(MESSAGE, -MESSAGE), (MESSAGE + 7, MESSAGE - 3), (MESSAGE * 2, MESSAGE * 3)]
     for rounds in said:
         moment = step(state=state)
-        for turn, message in enumerate(rounds):
-            moment.passed.append((message, EDGES))
-            heard, _ = freeze.carry(message, EDGES, turn, moment)
-            assert torch.equal(heard, said[0][turn])
-        state = freeze.state_after(moment)
+        for round_index, message in enumerate(rounds):
+            heard, _ = freeze.carry(message, EDGES, round_index, moment)
+            assert torch.equal(heard, said[0][round_index])
+        state = freeze.state_after(moment, rounds, [EDGES, EDGES])
 
 
 def test_noise_is_as_large_as_messages_vary():
@@ -102,8 +102,7 @@ def test_no_noise_is_heard_of_who_chose_silence():
     message = torch.randn(50, 3, 4)
     message[:, 1] = 0
     edges = torch.zeros(50, 3, 3, dtype=torch.bool)
-    moment = step(worlds=50)
-    moment.gated = True
+    moment = replace(step(worlds=50), gated=True)
     heard, _ = Noise().carry(message, edges, 0, moment)
     assert (heard[:, 1] == 0).all()
     assert (heard[:, ::2] != message[:, ::2]).all()
@@ -152,7 +151,7 @@ def test_the_untouched_policy_is_left_as_it_was():
     cfg, policy = policy_of()
     before = played(cfg, policy)
     intervened(policy, INTERVENTIONS["zero"])
-    assert policy.network.ways == [] and played(cfg, policy) == before
+    assert policy.network.stack == [] and played(cfg, policy) == before
 
 
 def test_change_is_the_paired_difference():

@@ -1,4 +1,4 @@
-"""How the messages of one step get from who says them to who hears them."""
+"""How the messages of one step get from their senders to their receivers."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from marl_clean.channel.base import Channel, Step
 from marl_clean.comm.base import Delivery
 
 
-class Crossing(Delivery):
+class Stacked(Delivery):
     """One step through a stack of channels, the first nearest to the sender."""
 
     def __init__(
@@ -23,43 +23,48 @@ class Crossing(Delivery):
         gated: bool = False,
     ) -> None:
         self.channels = channels
-        self.steps = [Step(seed, state, gated=gated) for state in states]
+        self.steps = [Step(seed, state, gated) for state in states]
+        self.messages: list[list[Tensor]] = [[] for _ in channels]  # what came to each, by round
+        self.edges: list[list[Tensor]] = [[] for _ in channels]
         self.sent = adjacency
         for channel in channels:
             self.sent = channel.address(self.sent, distance_rank, rounds)
             self.bits_per_number = channel.bits_per_number or self.bits_per_number
 
     def __call__(
-        self, message: Float[Tensor, "*batch agent message"], turn: int
+        self, message: Float[Tensor, "*batch agent message"], round_index: int
     ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
         edges = self.sent
-        for channel, step in zip(self.channels, self.steps, strict=True):
-            step.passed.append((message, edges))
-            message, edges = channel.carry(message, edges, turn, step)
+        for index, channel in enumerate(self.channels):
+            self.messages[index].append(message)
+            self.edges[index].append(edges)
+            message, edges = channel.carry(message, edges, round_index, self.steps[index])
         return message, edges
 
     def states_after(self) -> list[Tensor]:
         """Return what the channels that carry something carry to the next step, in their order."""
+        came = zip(self.channels, self.steps, self.messages, self.edges, strict=True)
         return [
-            channel.state_after(step)
-            for channel, step in zip(self.channels, self.steps, strict=True)
+            channel.state_after(step, messages, edges)
+            for channel, step, messages, edges in came
             if channel.remembers is not None
         ]
 
 
 class Repeated(Delivery):
-    """Whatever is said now, what was said before goes its way: a replayed frame's messages."""
+    """Deliver messages sent before, whatever is sent now: those of a replayed frame."""
 
     def __init__(
         self,
-        way: Delivery,
-        said: Float[Tensor, "*batch agent message"],
+        delivery: Delivery,
+        message: Float[Tensor, "*batch agent message"],
         message_dims: Sequence[int],
     ) -> None:
-        self.way, self.sent, self.bits_per_number = way, way.sent, way.bits_per_number
-        self.said = said.split(list(message_dims), dim=-1)
+        self.delivery, self.sent = delivery, delivery.sent
+        self.bits_per_number = delivery.bits_per_number
+        self.messages = message.split(list(message_dims), dim=-1)
 
     def __call__(
-        self, message: Float[Tensor, "*batch agent message"], turn: int
+        self, message: Float[Tensor, "*batch agent message"], round_index: int
     ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
-        return self.way(self.said[turn], turn)
+        return self.delivery(self.messages[round_index], round_index)
