@@ -3,7 +3,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DELETE_ON_ERROR:
-.PHONY: help setup train test lint benchmark clean
+.PHONY: help setup train test lint docs benchmark clean
 
 PYTHON ?= python3.11
 VENV := .venv
@@ -14,6 +14,7 @@ help:
 	@echo "make train       set up, train and evaluate the paper's approach 2"
 	@echo "make test        set up, run the tests"
 	@echo "make lint        set up, check format and types"
+	@echo "make docs        set up, build the pages into site/"
 	@echo "make benchmark   set up, measure speed"
 	@echo "make clean       remove .venv and caches; runs/ stays"
 
@@ -40,6 +41,13 @@ lint: $(VENV)/.installed-dev
 	$(RUN) ruff format --check .
 	$(RUN) mypy
 
+$(VENV)/.installed-docs: $(INSTALLED)
+	$(RUN) pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	touch $@
+
+docs: $(VENV)/.installed-docs
+	NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --quiet --strict
+
 $(VENV)/.installed-benchmark: $(INSTALLED)
 	$(RUN) pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[benchmark]'
 	touch $@
@@ -48,4 +56,4 @@ benchmark: $(VENV)/.installed-benchmark
 	$(RUN) marl_clean benchmark
 
 clean:
-	rm -rf $(VENV) .pytest_cache .hypothesis .mypy_cache .ruff_cache dist build
+	rm -rf $(VENV) .pytest_cache .hypothesis .mypy_cache .ruff_cache dist build site
