@@ -18,7 +18,6 @@ from marl_clean import build, keys
 from marl_clean.config.compose import compose_config
 from marl_clean.config.schema import choices
 from marl_clean.env.cleaning import CleaningEnv
-from marl_clean.env.scene import scene_of
 from marl_clean.env.specs import REWARD_TERMS
 from marl_clean.env.viewer import draw_text
 from marl_clean.errors import BadInput
@@ -38,7 +37,11 @@ except ModuleNotFoundError as error:
 RENDER_MODES = ("human", "rgb_array", "ansi")
 
 
-class ParallelCleaning(ParallelEnv[str, dict[str, np.ndarray], int]):
+Seen = np.ndarray | dict[str, np.ndarray]
+"""What one robot is shown: an array, or a dict where there is more than its observation."""
+
+
+class ParallelCleaning(ParallelEnv[str, Seen, int]):
     """Blind robots that clean an unknown house together; one world of `CleaningEnv`.
 
     ## Agents
@@ -48,8 +51,9 @@ class ParallelCleaning(ParallelEnv[str, dict[str, np.ndarray], int]):
     Discrete(4): 0 up (row - 1), 1 right (col + 1), 2 down (row + 1), 3 left (col - 1).
 
     ## Observations
-    Dict: `observation`, what the config's `observation` shows one robot; on demand `adjacency`,
-    a row of n with 1 for every robot in contact, and `action_mask`, 1 for every action that does
+    Box: what the config's `observation` shows one robot. With `adjacency=True` or
+    `action_masks=True` a Dict, which holds it as `observation`, and as asked for `adjacency`, a
+    row of n with 1 for every robot in contact, and `action_mask`, 1 for every action that does
     not lead into a wall as far as the robot's own map knows (all 1 where it knows of no way).
 
     ## Rewards
@@ -101,18 +105,20 @@ class ParallelCleaning(ParallelEnv[str, dict[str, np.ndarray], int]):
         self.agents: list[str] = []
         box = self.batched.observation_spec[keys.OBSERVATION].space
         low, high = (bound[0, 0].cpu().numpy() for bound in (box.low, box.high))
-        seen: dict[str, Any] = {"observation": Box(low, high, dtype=np.float32)}
-        if adjacency:
-            seen["adjacency"] = MultiBinary(n_agents)
-        if action_masks:
-            seen["action_mask"] = MultiBinary(len(MOVES))
+        extras = {"adjacency": MultiBinary(n_agents)} if adjacency else {}
+        extras |= {"action_mask": MultiBinary(len(MOVES))} if action_masks else {}
+
+        def space() -> Box | Dict:
+            seen = Box(low, high, dtype=np.float32)
+            return Dict({"observation": seen, **extras}) if extras else seen
+
         # One each: sampling must not draw from another robot's stream.
-        self.observation_spaces = {agent: Dict(seen) for agent in self.possible_agents}
+        self.observation_spaces = {agent: space() for agent in self.possible_agents}
         self.action_spaces = {agent: Discrete(len(MOVES)) for agent in self.possible_agents}
         sides = self.world.houses.free.shape[1:]  # of the largest house
         self.state_space = Box(BLOCKED_VALUE, ROBOT_VALUE, sides, np.float32)
 
-    def observation_space(self, agent: str) -> Dict:
+    def observation_space(self, agent: str) -> Box | Dict:
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> Discrete:
@@ -120,7 +126,7 @@ class ParallelCleaning(ParallelEnv[str, dict[str, np.ndarray], int]):
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, dict[str, float]]]:
+    ) -> tuple[dict[str, Seen], dict[str, dict[str, float]]]:
         """Begin episode 0 of `seed`, or the next episode; `options` has no use."""
         if seed is not None:
             if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
@@ -135,7 +141,7 @@ class ParallelCleaning(ParallelEnv[str, dict[str, np.ndarray], int]):
     def step(
         self, actions: Mapping[str, Any]
     ) -> tuple[
-        dict[str, dict[str, np.ndarray]],
+        dict[str, Seen],
         dict[str, float],
         dict[str, bool],
         dict[str, bool],
@@ -176,7 +182,8 @@ class ParallelCleaning(ParallelEnv[str, dict[str, np.ndarray], int]):
     def render(self) -> np.ndarray | str | None:
         """Return the house beside the robots' map, as pixels or as coloured text.
 
-        `human`, written to the terminal at every step, returns nothing.
+        Before the first reset it shows the world as that will begin it, unless another seed is
+        given. `human`, written to the terminal at every step, returns nothing.
         """
         if self.render_mode is None:
             raise BadInput(
@@ -184,7 +191,7 @@ class ParallelCleaning(ParallelEnv[str, dict[str, np.ndarray], int]):
             )
         if self.render_mode == "rgb_array":
             return self.world.render()
-        text = draw_text(scene_of(self.world.state, self.world.rules, 0, self._now[keys.ADJACENCY]))
+        text = draw_text(self.world.scene())
         if self.render_mode == "ansi":
             return text
         sys.stdout.write(f"{text}\n")
@@ -209,14 +216,18 @@ class ParallelCleaning(ParallelEnv[str, dict[str, np.ndarray], int]):
                 )
         return [int(actions[agent]) for agent in self.agents]
 
-    def _observations(self) -> dict[str, dict[str, np.ndarray]]:
-        seen = {"observation": self._now[keys.OBSERVATION][0].cpu().numpy()}
+    def _observations(self) -> dict[str, Seen]:
+        shown = self._now[keys.OBSERVATION][0].cpu().numpy()
+        extras = {}
         if self.shows_adjacency:
-            seen["adjacency"] = self._now[keys.ADJACENCY][0].cpu().numpy().astype(np.int8)
+            extras["adjacency"] = self._now[keys.ADJACENCY][0].cpu().numpy().astype(np.int8)
         if self.shows_mask:
-            seen["action_mask"] = self._open_ways().astype(np.int8)
+            extras["action_mask"] = self._open_ways().astype(np.int8)
+        if not extras:
+            return {agent: shown[index].copy() for index, agent in enumerate(self.agents)}
+        seen = {"observation": shown, **extras}
         return {
-            agent: {name: values[index].copy() for name, values in seen.items()}
+            agent: {name: array[index].copy() for name, array in seen.items()}
             for index, agent in enumerate(self.agents)
         }
 

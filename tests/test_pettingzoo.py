@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import data_equivalence
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test
 from pettingzoo.utils.conversions import parallel_to_aec
@@ -187,6 +188,43 @@ def test_pictures_show_the_world_and_text_says_how_far_it_is(
     assert (pixels.render() != picture).any()
 
 
+@pytest.mark.parametrize("mode", ["rgb_array", "ansi", "human"])
+def test_before_the_first_reset_it_shows_how_that_will_begin(
+    mode: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    env = make(render_mode=mode)
+    before = env.render(), capsys.readouterr().out
+    env.reset()
+    capsys.readouterr()
+    after = env.render(), capsys.readouterr().out
+    assert np.array_equal(before[0], after[0]) and before[1] == after[1]
+    assert (mode == "human") == (before[0] is None) == bool(before[1])
+
+
+@pytest.mark.parametrize(
+    ("extras", "names"),
+    [
+        ({}, None),
+        ({"adjacency": True}, {"observation", "adjacency"}),
+        ({"action_masks": True}, {"observation", "action_mask"}),
+    ],
+)
+def test_a_plain_box_where_nothing_else_is_in_it(
+    extras: dict[str, bool], names: set[str] | None
+) -> None:
+    env = make(**extras)
+    seen, _ = env.reset(seed=0)
+    for agent in env.agents:
+        space = env.observation_space(agent)
+        assert isinstance(space, Box) if names is None else set(space) == names
+        assert space.contains(seen[agent])
+    shown = seen["robot_0"] if names is None else seen["robot_0"]["observation"]
+    assert (shown == env._now[keys.OBSERVATION][0, 0].numpy()).all()
+    copied = shown.copy()
+    env.step(dict.fromkeys(env.agents, 1))
+    assert (shown == copied).all()
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
@@ -198,7 +236,8 @@ def test_pictures_show_the_world_and_text_says_how_far_it_is(
         (lambda: make().reset(seed=True), "seed=True"),
         (lambda: started().step({"robot_0": 0}), "robot_1"),
         (lambda: started().step({"robot_0": 0, "robot_1": 0, "robot_2": 0}), "robot_2"),
-        (lambda: started().step({"robot_0": 0, "robot_1": 4}), "robot_1=4"),
+        (lambda: started().step({"robot_0": 0, "robot_1": 4}), "robot_1=4: must be 0 to 3"),
+        (lambda: started().step({"robot_0": -1, "robot_1": 0}), "robot_0=-1: must be 0 to 3"),
         (lambda: started().step({"robot_0": 0.5, "robot_1": 1}), "robot_0=0.5"),
     ],
 )

@@ -16,7 +16,7 @@ from marl_clean.env.frames import first_frame, next_frame
 from marl_clean.env.houses import house_tensors
 from marl_clean.env.scene import scene_of
 from marl_clean.env.specs import make_specs
-from marl_clean.env.viewer import draw
+from marl_clean.env.viewer import Scene, draw
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses
 from marl_clean.settings import (
@@ -293,7 +293,16 @@ class CleaningEnv(Compiling):
         """Return the share of free cells cleaned so far, mean over the worlds now played."""
         return {"coverage": float((self.state.num_visited.double() / self.state.num_free).mean())}
 
-    def render(self, env_index: int = 0, cell_pixels: int = 24) -> UInt8[np.ndarray, "h w 3"]:
-        """Return one world as an RGB frame: the truth beside what the robots know of it."""
+    def scene(self, env_index: int = 0) -> Scene:
+        """Return one world as it stands, to be drawn: the truth, what robots know, who talks."""
         contact = None if self.contact is None else self.contact(self.state, self.rules)
-        return draw(scene_of(self.state, self.rules, env_index, contact), cell_pixels)
+        return scene_of(self.state, self.rules, env_index, contact)
+
+    def render(
+        self, env_index: int = 0, cell_pixels: int | None = None
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        """Return one world as an RGB frame: the truth beside what the robots know of it.
+
+        `cell_pixels`: the side of a cell; None: as fits the house.
+        """
+        return draw(self.scene(env_index), cell_pixels)

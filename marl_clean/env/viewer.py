@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 Colour = tuple[int, int, int]
 Place = tuple[int, int]
+Point = tuple[float, float]  # of a place, in cells of a picture that may be smaller than the house
 
 PAGE: Colour = (255, 255, 255)
 INK: Colour = (38, 43, 51)
@@ -36,6 +37,9 @@ MARGIN, GAP, TITLE, CAPTION = 14, 22, 22, 34  # pixels
 CAPTION_WIDTH = 300  # pixels the caption needs, whatever the house's width
 FRAME = 2  # pixels around each panel
 SMALLEST_DISC = 13  # pixels; below this a robot's number cannot be read
+LARGEST_CELL = 24  # pixels
+PANEL_PIXELS = 640  # the longer side of a panel, about
+MOST_CELLS = 1024  # a panel's longer side; of a larger house, a cell shows the mean of several
 
 
 @dataclass(frozen=True)
@@ -81,19 +85,32 @@ class Layout:
         left = (self.width - 2 * panel_width - GAP) // 2
         return MARGIN + TITLE, left + panel * (panel_width + GAP)
 
-    def centre(self, panel: int, place: Place) -> tuple[float, float]:
+    def centre(self, panel: int, place: Place | Point) -> Point:
         """Centre of a cell in a panel, as (row, col) of pixels."""
         top, left = self.corner(panel)
         row, col = place
         return top + (row + 0.5) * self.cell_pixels, left + (col + 0.5) * self.cell_pixels
 
 
-def draw(scene: Scene, cell_pixels: int = 24) -> UInt8[np.ndarray, "height width 3"]:
-    """The house, the map, the robots and their contacts side by side, as RGB."""
-    rows, cols = scene.free.shape
+def fitting_cell(rows: int, cols: int, panel_pixels: int = PANEL_PIXELS) -> int:
+    """The side of a cell, in pixels, with which the longer side of a panel is about as asked."""
+    return min(max(panel_pixels // max(rows, cols), 1), LARGEST_CELL)
+
+
+def draw(scene: Scene, cell_pixels: int | None = None) -> UInt8[np.ndarray, "height width 3"]:
+    """The house, the map, the robots and their contacts side by side, as RGB.
+
+    `cell_pixels`: the side of a cell; None: as fits the house. A panel has at most MOST_CELLS
+    cells a side, so the picture's size is bounded whatever the house's.
+    """
+    shrink = -(-max(scene.free.shape) // MOST_CELLS)
+    rows, cols = (-(-side // shrink) for side in scene.free.shape)
+    cell_pixels = cell_pixels or fitting_cell(rows, cols)
     layout = Layout(rows, cols, cell_pixels)
+    places = [(row / shrink, col / shrink) for row, col in scene.positions]
     page = np.full((layout.height, layout.width, 3), PAGE, dtype=np.uint8)
     for panel, colours in enumerate((house_colours(scene), map_colours(scene.values))):
+        colours = colours if shrink == 1 else np.asarray(Image.fromarray(colours).reduce(shrink))
         top, left = layout.corner(panel)
         frame = slice(top - FRAME, None), slice(left - FRAME, None)  # a house may end without walls
         height, width = rows * cell_pixels + 2 * FRAME, cols * cell_pixels + 2 * FRAME
@@ -106,8 +123,8 @@ def draw(scene: Scene, cell_pixels: int = 24) -> UInt8[np.ndarray, "height width
     pen = ImageDraw.Draw(large)
     for panel, title in enumerate(("house", scene.map_title)):
         _title(pen, layout, panel, title)
-        _contacts(pen, layout, panel, scene)
-        _robots(pen, layout, panel, scene.positions)
+        _contacts(pen, layout, panel, scene.contacts, places)
+        _robots(pen, layout, panel, places)
     _caption(pen, layout, scene)
     return np.asarray(large.reduce(SUPERSAMPLE))
 
@@ -124,9 +141,10 @@ def house_colours(scene: Scene) -> UInt8[np.ndarray, "row col 3"]:
 
 def map_colours(values: Float[np.ndarray, "row col"]) -> UInt8[np.ndarray, "row col 3"]:
     """The robots' memory, a colour a cell: the cleaner, the nearer to the colour of clean."""
-    freshness = np.clip(values / FRESH, 0.0, 1.0)[..., None]
-    blend = (1.0 - freshness) * np.array(DIRTY) + freshness * np.array(CLEAN)
-    colours = np.rint(blend).astype(np.uint8)
+    colours = np.empty((*values.shape, 3), dtype=np.uint8)
+    for line, row in zip(colours, values, strict=True):  # of a whole large map: gigabytes
+        freshness = np.clip(row / FRESH, 0.0, 1.0)[:, None]
+        line[:] = np.rint((1.0 - freshness) * np.array(DIRTY) + freshness * np.array(CLEAN))
     colours[values < 0] = UNKNOWN
     colours[values <= -1] = BLOCKED
     return colours
@@ -155,23 +173,27 @@ def _title(pen: ImageDraw.ImageDraw, layout: Layout, panel: int, title: str) -> 
     pen.text(at, title, fill=INK, font=_font(13), anchor="ls")
 
 
-def _contacts(pen: ImageDraw.ImageDraw, layout: Layout, panel: int, scene: Scene) -> None:
+def _contacts(
+    pen: ImageDraw.ImageDraw,
+    layout: Layout,
+    panel: int,
+    contacts: Sequence[tuple[int, int]],
+    places: Sequence[Point],
+) -> None:
     width = max(2.0, layout.cell_pixels / 9)
-    for one, other in scene.contacts:
-        ends = [layout.centre(panel, scene.positions[robot]) for robot in (one, other)]
+    for one, other in contacts:
+        ends = [layout.centre(panel, places[robot]) for robot in (one, other)]
         points = [(col * SUPERSAMPLE, row * SUPERSAMPLE) for row, col in ends]
         # White below the line keeps it visible on walls and on the map's black.
         for colour, pixels in ((PAGE, width + 2), (CONTACT, width)):
             pen.line(points, fill=colour, width=round(pixels * SUPERSAMPLE))
 
 
-def _robots(
-    pen: ImageDraw.ImageDraw, layout: Layout, panel: int, positions: Sequence[Place]
-) -> None:
+def _robots(pen: ImageDraw.ImageDraw, layout: Layout, panel: int, places: Sequence[Point]) -> None:
     disc = max(0.84 * layout.cell_pixels, SMALLEST_DISC)
     rim = max(1.0, disc / 16)
     font = _font(0.62 * disc)
-    for robot, place in enumerate(positions):
+    for robot, place in enumerate(places):
         row, col = (pixel * SUPERSAMPLE for pixel in layout.centre(panel, place))
         for colour, radius in ((PAGE, disc / 2), (robot_colour(robot), disc / 2 - rim)):
             reach = radius * SUPERSAMPLE

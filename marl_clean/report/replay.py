@@ -7,7 +7,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 from PIL import Image
 
-from marl_clean.env.viewer import Scene, draw
+from marl_clean.env.viewer import Scene, draw, fitting_cell
 from marl_clean.evaluation.evaluator import PolicyFor
 from marl_clean.report.episode import first_held_out, scenes
 from marl_clean.storage import files
@@ -18,7 +18,6 @@ COLOURS = 64
 FRAME_MILLISECONDS = 100
 LAST_FRAME_MILLISECONDS = 2_500  # time to read the end before it starts again
 PANEL_PIXELS = 320  # the longer side of a panel, about
-LARGEST_CELL = 24  # pixels
 
 
 def make_replay(cfg: DictConfig, policy_for: PolicyFor, path: Path, epsilon: float = 0.0) -> None:
@@ -59,12 +58,8 @@ def drawn(moments: Iterable[Scene]) -> list[Image.Image]:
 
 def picture_of(scene: Scene) -> Image.Image:
     """One frame, its cells as large as fits a usual width."""
-    return Image.fromarray(draw(scene, cell_pixels(*scene.free.shape)))
-
-
-def cell_pixels(rows: int, cols: int) -> int:
-    """The side of a cell: the longer side of a panel has about PANEL_PIXELS."""
-    return min(max(PANEL_PIXELS // max(rows, cols), 1), LARGEST_CELL)
+    rows, cols = scene.free.shape
+    return Image.fromarray(draw(scene, fitting_cell(rows, cols, PANEL_PIXELS)))
 
 
 def coded(pictures: Sequence[Image.Image]) -> list[Image.Image]:

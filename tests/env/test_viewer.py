@@ -1,12 +1,13 @@
 """The picture shows each cell where it lies, on houses that are not square."""
 
 import re
+import tracemalloc
 
 import numpy as np
 import pytest
 
 from marl_clean.env import viewer
-from marl_clean.env.viewer import Layout, Scene, draw, draw_text
+from marl_clean.env.viewer import Layout, Scene, draw, draw_text, fitting_cell
 
 SHAPES = [(3, 7), (7, 3), (1, 5)]
 
@@ -111,3 +112,30 @@ def test_text_has_two_characters_a_cell_and_colours_only_on_demand(rows, cols):
     assert plain[-1] == "step 3   25.0 % clean   contact 1-2"
     coloured = re.sub("\x1b\\[[0-9;]*m", "", draw_text(scene))
     assert [len(line) for line in coloured.splitlines()] == [len(line) for line in plain]
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(10, 10), (3, 7)])
+def test_a_cell_of_a_usual_house_has_24_pixels(rows, cols):
+    scene = scene_of(rows, cols)
+    assert np.array_equal(draw(scene), draw(scene, 24))
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(256, 256), (1500, 3000)])
+def test_a_picture_is_bounded_whatever_the_house(rows, cols):
+    scene = scene_of(rows, cols, positions=[(rows // 2, cols // 2)])
+    scene.free[: rows // 4] = False
+    tracemalloc.start()
+    picture = draw(scene)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 200_000_000 and max(picture.shape) < 2200
+    shrink = -(-max(rows, cols) // viewer.MOST_CELLS)
+    side = fitting_cell(rows // shrink, cols // shrink)
+    layout = Layout(rows // shrink, cols // shrink, side)
+    for place, colour in [((rows // 8, cols // 2), viewer.WALL), ((rows - 4, 5), viewer.DIRTY)]:
+        row, col = layout.centre(0, (place[0] // shrink, place[1] // shrink))
+        assert tuple(int(value) for value in picture[int(row), int(col)]) == colour
+    centre = layout.centre(1, (rows // 2 / shrink, cols // 2 / shrink))
+    row, col = map(int, centre)
+    disc = picture[row - 5 : row + 6, col - 5 : col + 6]
+    assert (disc == viewer.robot_colour(0)).all(-1).sum() > 20

@@ -5,9 +5,9 @@ import pytest
 from PIL import Image
 
 from marl_clean.env import viewer
-from marl_clean.env.viewer import Layout, Scene
+from marl_clean.env.viewer import Layout, Scene, fitting_cell
 from marl_clean.report import replay
-from marl_clean.report.replay import cell_pixels, drawn, write_gif
+from marl_clean.report.replay import PANEL_PIXELS, drawn, write_gif
 
 
 def moments(count: int, rows: int = 3, cols: int = 7) -> list[Scene]:
@@ -39,7 +39,7 @@ def frames_of(path) -> list[np.ndarray]:
 
 
 def colour(frame: np.ndarray, rows: int, cols: int, panel: int, place: tuple[int, int]):
-    row, col = Layout(rows, cols, cell_pixels(rows, cols)).centre(panel, place)
+    row, col = Layout(rows, cols, fitting_cell(rows, cols, PANEL_PIXELS)).centre(panel, place)
     return frame[int(row), int(col)]
 
 
@@ -82,4 +82,5 @@ def test_the_same_episode_gives_the_same_file(tmp_path):
 
 
 def test_cells_fit_small_and_large_houses():
-    assert cell_pixels(3, 7) == 24 and cell_pixels(60, 60) == 5 and cell_pixels(400, 90) == 1
+    sides = [(3, 7), (60, 60), (400, 90)]
+    assert [fitting_cell(*shape, PANEL_PIXELS) for shape in sides] == [24, 5, 1]
