@@ -1,0 +1,30 @@
+"""The contracts of the rooms: what a level must hold, whoever wrote it.
+
+    from marl_clean.testing import check_comm
+
+    def test_my_scheme() -> None:
+        check_comm("my_scheme", message_dim=8)
+
+Each function takes a level by name, as on the command line, or by its class, and settings of it.
+It returns nothing where the contract holds, and raises `ContractBroken` with what is broken and on
+which numbers. What a contract asks is listed as `CLAUSES` in the room's module here; each clause
+is a function whose docstring is the promise. No contract knows a level of ours.
+"""
+
+from marl_clean.testing._broken import ContractBroken
+from marl_clean.testing.encoder import check_encoder
+from marl_clean.testing.house import check_house
+from marl_clean.testing.observation import check_observation
+from marl_clean.testing.planner import check_planner
+from marl_clean.testing.reward import check_reward
+from marl_clean.testing.topology import check_topology
+
+__all__ = [
+    "ContractBroken",
+    "check_encoder",
+    "check_house",
+    "check_observation",
+    "check_planner",
+    "check_reward",
+    "check_topology",
+]
