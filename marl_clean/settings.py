@@ -129,6 +129,12 @@ Range = Annotated[
 Ranges = Annotated[list[Range], Field(min_length=1)]
 Kinds = Annotated[list[Literal["rooms", "single_room", "open"]], Field(min_length=1)]
 
+Colour = Annotated[
+    list[Annotated[int, Field(ge=0, le=255)]],
+    Field(min_length=3, max_length=3),
+]
+Colours = Annotated[list[Colour], Field(min_length=1)]
+
 
 def _folder_name(value: str) -> str:
     if not re.fullmatch(r"[\w+=,@-][\w.+=,@-]*(/[\w+=,@-][\w.+=,@-]*)*", value):

@@ -7,7 +7,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 OUTSIDE_THE_HASH = ("hydra", "name", "device", "logger", "checkpoint", "out")
-UNLESS_NULL = ("weights", "parameter_budget")
+UNLESS_NULL = ("weights", "parameter_budget", "house.free_colours")
 
 
 def config_hash(config: DictConfig) -> str:
@@ -16,14 +16,23 @@ def config_hash(config: DictConfig) -> str:
     Keys of `UNLESS_NULL` came later: without a value the hash is what it was before them.
     """
     content = {
-        key: value
-        for key, value in container(config).items()
-        if key not in OUTSIDE_THE_HASH and not (key in UNLESS_NULL and value is None)
+        key: _without_later(value, f"{key}.") if isinstance(value, dict) else value
+        for key, value in _without_later(container(config)).items()
+        if key not in OUTSIDE_THE_HASH
     }
     if len(stack := list(content.get("channel", ()))) > 1:
         content["channel order"] = stack  # keys are sorted, and what crosses first matters
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _without_later(section: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The section without those of `UNLESS_NULL` that have no value."""
+    return {
+        key: value
+        for key, value in section.items()
+        if value is not None or f"{prefix}{key}" not in UNLESS_NULL
+    }
 
 
 def container(config: DictConfig) -> dict[str, Any]:

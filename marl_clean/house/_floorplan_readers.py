@@ -1,45 +1,48 @@
 """Reads floor plans that others made: map_server, MovingAI, plain images.
 
-Every reader returns which cells are free, bool [rows, cols], row 0 at the top. All limits are
-checked before anything is decoded, and whatever is wrong raises BadInput in one line. Torch-free.
+Every reader returns Cells. All limits are checked before anything is decoded, and whatever is
+wrong raises BadInput in one line. Torch-free.
 """
 
-import io
-import logging
 import math
 import os
 import reprlib
-import struct
-import warnings
-import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import yaml
-from PIL import Image
 
 from marl_clean.errors import BadInput
-from marl_clean.house._plan_files import is_file, read_bytes, read_lines
+from marl_clean.house._plan_files import is_file, read_bytes, read_lines, warn_once
+from marl_clean.house._plan_images import STRIP_ROWS, WHITE, Pixels, read_pixels
 from marl_clean.settings import LARGEST_SIDE
 from marl_clean.storage.safe_yaml import check_plain
 
-IMAGE_FORMATS = ("PNG", "PPM", "BMP", "JPEG")
 LARGEST_YAML_BYTES = 16 * 2**10
 DEEPEST_YAML = 3
-STRIP_ROWS = 256
 MAP_SERVER_KEYS = ("image", "resolution", "origin", "occupied_thresh", "free_thresh", "negate")
-WHITE = 3 * 255  # a shade is red + green + blue, so that grey g / 255 is exactly shade / WHITE
 FREE_FROM_GREY = 128
+SAVED_UNKNOWN = 205  # the grey of what was not seen, as map_saver writes it
 PASSABLE, IMPASSABLE = b".GS", b"@OTW"
-# What Pillow raises for damaged files, besides OSError for most of them.
-DAMAGED = (OSError, ValueError, SyntaxError, EOFError, IndexError, struct.error, zlib.error)
-TOO_LARGE = (Image.DecompressionBombWarning, Image.DecompressionBombError)
 
 
-def read_map_server(file: Path, cell_metres: float) -> np.ndarray:
+@dataclass(frozen=True)
+class Cells:
+    """What a file says of every cell, bool [rows, cols], row 0 at the top.
+
+    `unknown` cells are neither free nor wall: nothing was seen there. `doubt` says why what is
+    free may be more than the house; how much of it lies on the plan's edge tells.
+    """
+
+    free: np.ndarray
+    unknown: np.ndarray
+    doubt: str | None = None
+
+
+def read_map_server(file: Path, cell_metres: float) -> Cells:
     """A map_server yaml and its image, cut into cells of `cell_metres`, see `to_cells`.
 
     With p = 1 - grey/255 (grey/255 when `negate`): occupied when p >= `occupied_thresh`, free
@@ -55,16 +58,25 @@ def read_map_server(file: Path, cell_metres: float) -> np.ndarray:
     if resolution <= 0:
         raise BadInput(f"{file}: resolution {resolution}; metres a pixel, above 0")
     _warn_of_yaw(file, settings["origin"])
-    shade, opaque = read_pixels(_image_of(file, settings["image"]))
+    image = _image_of(file, settings["image"])
+    pixels = read_pixels(image)
+    _warn_of_colours(image, pixels)
     darkness = np.arange(WHITE + 1) / WHITE
     if not _flag(file, "negate", settings["negate"]):
         darkness = 1 - darkness
-    occupied = darkness >= _share(file, "occupied_thresh", settings["occupied_thresh"])
-    free = darkness <= _share(file, "free_thresh", settings["free_thresh"])
-    return to_cells(file, free[shade] & opaque, occupied[shade] & opaque, resolution, cell_metres)
+    occupied_from, free_to = _thresholds(file, settings)
+    free = (darkness <= free_to)[pixels.shade] & pixels.opaque
+    occupied = (darkness >= occupied_from)[pixels.shade] & pixels.opaque
+    free_cells = to_cells(file, free, occupied, resolution, cell_metres)
+    without_wall = to_cells(file, ~occupied, occupied, resolution, cell_metres)
+    doubt = None
+    if (free & (pixels.shade == 3 * SAVED_UNKNOWN)).any():
+        doubt = f"free_thresh {free_to:g}: grey {SAVED_UNKNOWN} counts as free here"
+        doubt += ", 0.196 would make it unknown"
+    return Cells(free_cells, without_wall & ~free_cells, doubt)
 
 
-def read_movingai(file: Path) -> np.ndarray:
+def read_movingai(file: Path) -> Cells:
     """A MovingAI `.map`: one character one cell, the first character is row 0, column 0.
 
     `type`, `height R`, `width C`, `map`, then R rows of C characters: `.` `G` `S` passable,
@@ -89,19 +101,33 @@ def read_movingai(file: Path) -> np.ndarray:
             f"{file}, line {row + 5}, column {col + 1}: {chr(grid[row, col])!r}; "
             "valid: . G S passable, @ O T W not"
         )
-    return np.isin(grid, list(PASSABLE))
+    free = np.isin(grid, list(PASSABLE))
+    return Cells(free, np.zeros_like(free))
 
 
-def read_image(file: Path, cell_metres: float, pixel_metres: float | None) -> np.ndarray:
+def read_image(
+    file: Path,
+    cell_metres: float,
+    pixel_metres: float | None,
+    free_colours: Sequence[Sequence[int]] | None = None,
+) -> Cells:
     """A plain image: free where the mean of the colours is at least 128 of 255, and opaque.
 
-    A pixel is a cell; with `pixel_metres` the image is cut into cells of `cell_metres` instead.
+    With `free_colours` free is what has one of them instead. A pixel is a cell; with
+    `pixel_metres` the image is cut into cells of `cell_metres`.
     """
-    shade, opaque = read_pixels(file)
-    free = (shade >= 3 * FREE_FROM_GREY) & opaque
+    pixels = read_pixels(file, free_colours or ())
+    if free_colours is None:
+        _warn_of_colours(file, pixels)
+        free = (pixels.shade >= 3 * FREE_FROM_GREY) & pixels.opaque
+    else:
+        free = pixels.chosen & pixels.opaque
     if pixel_metres is None:
-        return free
-    return to_cells(file, free, ~free, pixel_metres, cell_metres)
+        return Cells(free, ~pixels.opaque)
+    return Cells(
+        to_cells(file, free, ~free, pixel_metres, cell_metres),
+        to_cells(file, ~pixels.opaque, pixels.opaque, pixel_metres, cell_metres),
+    )
 
 
 def to_cells(
@@ -139,57 +165,6 @@ def to_cells(
         votes = np.add.reduceat(votes, edges[:-1] - edges[0], axis=0)
         cells[first : first + strip] = np.add.reduceat(votes, lefts, axis=1) >= 0
     return cells[::-1]
-
-
-def read_pixels(file: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Shade 0 black to 765 white, uint16, and whether opaque, bool, both [height, width].
-
-    Raises BadInput for no image, a damaged one, or one that is larger than the limits.
-    """
-    content = io.BytesIO(read_bytes(file))
-    with _one_line(file):
-        image = Image.open(content, formats=IMAGE_FORMATS)  # the header only
-    if max(image.size) > LARGEST_SIDE:
-        raise BadInput(
-            f"{file}: {image.size[1]} x {image.size[0]} pixels (height x width); "
-            f"at most {LARGEST_SIDE} a side are read"
-        )
-    with _one_line(file):
-        return _shade(image)
-
-
-@contextmanager
-def _one_line(file: Path) -> Iterator[None]:
-    """Turns what Pillow raises into BadInput, and what it only warns of into nothing."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            yield
-    except TOO_LARGE as error:
-        raise BadInput(f"{file}: at most {LARGEST_SIDE} pixels a side are read") from error
-    except DAMAGED as error:
-        formats = ", ".join(IMAGE_FORMATS)
-        raise BadInput(f"{file}: not an image, or a damaged one; valid: {formats}") from error
-
-
-def _shade(image: Image.Image) -> tuple[np.ndarray, np.ndarray]:
-    if image.mode == "F":
-        raise ValueError("an image of floats")
-    width, height = image.size
-    if image.mode.startswith("I"):  # 16 bits
-        grey = np.asarray(image).astype(np.int64).clip(0, 65535)
-        return (grey * WHITE // 65535).astype(np.uint16), np.ones(grey.shape, dtype=bool)
-    shade = np.empty((height, width), dtype=np.uint16)
-    opaque = np.empty((height, width), dtype=bool)
-    for top in range(0, height, STRIP_ROWS):  # four bytes a pixel only for a strip at a time
-        strip = slice(top, min(top + STRIP_ROWS, height))
-        part = image.crop((0, strip.start, width, strip.stop)).convert("RGBA")
-        red, green, blue, alpha = np.moveaxis(np.asarray(part), 2, 0)
-        np.add(red, green, out=shade[strip], dtype=np.uint16)
-        shade[strip] += blue
-        np.equal(alpha, 255, out=opaque[strip])
-    return shade, opaque
 
 
 def _first_pixels(count: int, step: Fraction) -> list[int]:
@@ -236,6 +211,19 @@ def _share(file: Path, key: str, value: object) -> float:
     return number
 
 
+def _thresholds(file: Path, settings: dict[str, object]) -> tuple[float, float]:
+    """`occupied_thresh` and `free_thresh`, the second no larger than the first."""
+    occupied, free = (
+        _share(file, key, settings[key]) for key in ("occupied_thresh", "free_thresh")
+    )
+    if occupied < free:
+        raise BadInput(
+            f"{file}: occupied_thresh {occupied:g} is below free_thresh {free:g}, so that a pixel "
+            "can be both; give an occupied_thresh that is no smaller"
+        )
+    return occupied, free
+
+
 def _flag(file: Path, key: str, value: object) -> bool:
     flags = {"0": False, "1": True, "false": False, "true": True}
     if not isinstance(value, str) or value.lower() not in flags:
@@ -248,7 +236,15 @@ def _warn_of_yaw(file: Path, origin: object) -> None:
         raise BadInput(f"{file}: origin {reprlib.repr(origin)} is not [x, y, yaw]")
     yaw = [_number(file, "origin", value) for value in origin][2]
     if yaw != 0:
-        logging.getLogger(__name__).warning("%s: the yaw of %s is ignored", file, yaw)
+        warn_once(f"{file}: the yaw of {yaw} is ignored")
+
+
+def _warn_of_colours(file: Path, pixels: Pixels) -> None:
+    if pixels.mostly_coloured:
+        warn_once(
+            f"{file}: most of it is coloured, and colours count by their mean, so a light wall is "
+            "free; for a plain image house.free_colours=[[R,G,B],...] names the floor's colours"
+        )
 
 
 def _image_of(file: Path, name: object) -> Path:

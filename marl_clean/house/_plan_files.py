@@ -4,6 +4,8 @@ NumPy-free and torch-free.
 """
 
 import difflib
+import logging
+from functools import cache
 from pathlib import Path
 
 from marl_clean.errors import BadInput
@@ -14,10 +16,10 @@ LARGEST_FILE_BYTES = 16 * 2**20
 def find_plan(path: str, shipped: Path, suffixes: tuple[str, ...]) -> Path:
     """The file at `path`, relative to the working directory, or the shipped plan of that name.
 
-    Of shipped plans of one name, the one with the first of `suffixes`. Raises BadInput for no
-    such file, or one whose name ends on none of `suffixes`.
+    `~` is the home folder. Of shipped plans of one name, the one with the first of `suffixes`.
+    Raises BadInput for no such file, or one whose name ends on none of `suffixes`.
     """
-    file = Path(path)
+    file = _expanded(path)
     if not is_file(file):
         kinds = [shipped.glob(f"*{suffix}") for suffix in reversed(suffixes)]
         names = {each.stem: each for kind in kinds for each in kind}
@@ -27,6 +29,12 @@ def find_plan(path: str, shipped: Path, suffixes: tuple[str, ...]) -> Path:
     if file.suffix.lower() not in suffixes:
         raise BadInput(f"house.path: {path!r} does not end on any of {', '.join(suffixes)}")
     return file
+
+
+@cache
+def warn_once(text: str) -> None:
+    """Warn of what a file holds, once a process however often the file is read."""
+    logging.getLogger(__name__).warning("%s", text)
 
 
 def is_file(file: Path) -> bool:
@@ -62,6 +70,13 @@ def read_lines(file: Path) -> list[bytes]:
             column = next(index for index, byte in enumerate(line, start=1) if byte > 127)
             raise BadInput(f"{file}, line {number}, column {column}: not an ASCII character")
     return lines
+
+
+def _expanded(path: str) -> Path:
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:  # no such user
+        return Path(path)
 
 
 def _nearest(file: Path, suffixes: tuple[str, ...], shipped: list[str]) -> str:

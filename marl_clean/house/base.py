@@ -14,6 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from marl_clean.errors import BadInput
+from marl_clean.house._regions import Regions, split_regions
 
 # Seeds of houses to train on, to choose weights on, and to measure once.
 SPLITS: dict[str, range] = {
@@ -29,13 +30,21 @@ class HouseLayout:
     """One house: where robots can stand, which blocked cells are furniture, who starts where.
 
     `free` is bool [rows, cols]; `furniture` int16 [rows, cols]: 0 none, k > 0 piece k. `starts`
-    are the cells a file gives, in the robots' order; `source` is the seed or the path.
+    are the cells a file gives, in the robots' order; `source` is the seed or the path. Of a floor
+    plan `unknown` is bool [rows, cols], blocked cells of which nothing is known, and `cell_metres`
+    the side of a cell, where the file has a scale.
     """
 
     free: np.ndarray
     furniture: np.ndarray
     starts: tuple[tuple[int, int], ...] | None
     source: int | str
+    unknown: np.ndarray | None = None
+    cell_metres: float | None = None
+
+    def regions(self) -> Regions:
+        """The region that is the house, see `split_regions`, and those that are left out."""
+        return split_regions(self.free, self.starts, self.source)
 
 
 class House(ABC):
@@ -146,25 +155,9 @@ def smallest_first(houses: Houses) -> Houses:
 def keep_region(layout: HouseLayout) -> HouseLayout:
     """The layout with one connected region free: that of its starts, or without any the largest.
 
-    Of equally large regions it is the one with the smallest (row, col). Cells connect by their
-    four sides. Raises BadInput: no free cell, or starts in two regions.
+    Raises BadInput: no free cell, or starts in two regions.
     """
-    regions, count = ndimage.label(layout.free)
-    if count == 0:
-        raise BadInput(f"{layout.source}: the floor plan has no free cell; at least one is needed")
-    if layout.starts:
-        first = layout.starts[0]
-        kept = regions[first]
-        for start in layout.starts:
-            if regions[start] != kept:
-                raise BadInput(
-                    f"{layout.source}: the starts {first} and {start} (row, col) lie in two "
-                    "regions; all starts must lie in one"
-                )
-    else:
-        # Regions are numbered in reading order, so the first of equal ones is the right one.
-        kept = 1 + np.argmax(np.bincount(regions.ravel())[1:])
-    return replace(layout, free=regions == kept)
+    return replace(layout, free=layout.regions().kept)
 
 
 def stream(seed: int, draw: int) -> random.Random:

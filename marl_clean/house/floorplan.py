@@ -8,10 +8,15 @@ from typing import ClassVar, final
 import numpy as np
 
 from marl_clean.errors import BadInput
-from marl_clean.house._floorplan_readers import read_image, read_map_server, read_movingai
-from marl_clean.house._plan_files import find_plan
+from marl_clean.house._floorplan_readers import (
+    Cells,
+    read_image,
+    read_map_server,
+    read_movingai,
+)
+from marl_clean.house._plan_files import find_plan, warn_once
 from marl_clean.house.base import House, HouseLayout
-from marl_clean.settings import PositiveFloat
+from marl_clean.settings import Colours, PositiveFloat
 
 SHIPPED = Path(__file__).parent / "plans"
 MAP_SERVER, MOVINGAI = (".yaml", ".yml"), (".map",)
@@ -25,11 +30,13 @@ class FloorPlan(House):
     """A plan from a file, its kind known by its suffix; without furniture, as scans show none.
 
     `.yaml`, `.yml`: map_server, cut into cells of `cell_metres`. `.map`: MovingAI, a character a
-    cell. An image: free from grey 128 on, a pixel a cell, or with `pixel_metres` cut into cells
-    of `cell_metres`. `path` is relative to the working directory, or the name of a shipped plan.
-    `starts` are (row, col) of robots; their region is the house, else the largest one.
+    cell. An image: free from grey 128 on, or where it has one of `free_colours` (red, green,
+    blue, of 255); a pixel a cell, or with `pixel_metres` cut into cells of `cell_metres`. `path`
+    is relative to the working directory, or the name of a shipped plan. `starts` are (row, col)
+    of robots; their region is the house, else the largest one.
 
-    Raises BadInput: no path, no such file, one that cannot be read, a start on no free cell.
+    Raises BadInput: no path, no such file, one that cannot be read, a start on no free cell,
+    `free_colours` of what is no plain image.
     """
 
     generated: ClassVar[bool] = False
@@ -38,6 +45,7 @@ class FloorPlan(House):
     cell_metres: PositiveFloat = 0.4
     pixel_metres: PositiveFloat | None = None
     starts: list[list[int]] | None = None
+    free_colours: Colours | None = None
 
     def __post_init__(self) -> None:
         if not self.path:
@@ -52,21 +60,39 @@ class FloorPlan(House):
     def layout(self, seed: int = 0, draw: int = 0) -> HouseLayout:
         """The file's plan, for every seed."""
         path = str(self.path)
-        free = self._read(find_plan(path, SHIPPED, SUFFIXES))
-        return HouseLayout(
-            free=free,
-            furniture=np.zeros(free.shape, dtype=np.int16),
-            starts=self._starts(free),
+        file = find_plan(path, SHIPPED, SUFFIXES)
+        cells = self._read(file)
+        layout = HouseLayout(
+            free=cells.free,
+            furniture=np.zeros(cells.free.shape, dtype=np.int16),
+            starts=self._starts(cells.free),
             source=path,
+            unknown=cells.unknown,
+            cell_metres=self._cell_metres(file),
         )
+        if cells.doubt is not None:
+            regions = layout.regions()
+            warn_once(
+                f"{file}: {cells.doubt}; {regions.edge_cells:,} of the region's "
+                f"{regions.kept_cells:,} cells lie on the edge of the plan"
+            )
+        return layout
 
-    def _read(self, file: Path) -> np.ndarray:
+    def _read(self, file: Path) -> Cells:
         suffix = file.suffix.lower()
+        if suffix in IMAGES:
+            return read_image(file, self.cell_metres, self.pixel_metres, self.free_colours)
+        if self.free_colours is not None:
+            raise BadInput(f"house.free_colours: for plain images, which {file} is not; null here")
         if suffix in MAP_SERVER:
             return read_map_server(file, self.cell_metres)
-        if suffix in MOVINGAI:
-            return read_movingai(file)
-        return read_image(file, self.cell_metres, self.pixel_metres)
+        return read_movingai(file)
+
+    def _cell_metres(self, file: Path) -> float | None:
+        """The side of a cell, where the file or the settings tell its scale."""
+        suffix = file.suffix.lower()
+        scaled = suffix in MAP_SERVER or (suffix in IMAGES and self.pixel_metres is not None)
+        return self.cell_metres if scaled else None
 
     def _starts(self, free: np.ndarray) -> tuple[tuple[int, int], ...] | None:
         starts: list[tuple[int, int]] = []

@@ -1,5 +1,7 @@
 """Yaml from outside: small, plain data only, no anchors."""
 
+import reprlib
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +38,11 @@ def load_yaml(path: Path) -> Any:
 def check_plain(text: str, path: Path, deepest: int) -> None:
     """Read yaml as events alone, which builds nothing, before anybody loads it.
 
-    Raises BadInput for anchors and aliases and for sections nested deeper than `deepest`, and
-    yaml.YAMLError for what is no yaml.
+    Raises BadInput for anchors and aliases, for sections nested deeper than `deepest` and for a
+    key that stands twice in one section, and yaml.YAMLError for what is no yaml.
     """
     depth = 0
+    sections = _OpenSections()
     for event in yaml.parse(text, Loader=yaml.BaseLoader):
         if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
             raise BadInput(f"{path}: yaml anchors and aliases are not read; write the values out")
@@ -47,3 +50,38 @@ def check_plain(text: str, path: Path, deepest: int) -> None:
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > deepest:
             raise BadInput(f"{path}: not plain yaml, nested more than {deepest} sections deep")
+        if (twice := sections.repeated(event)) is not None:
+            raise BadInput(f"{path}: the key {reprlib.repr(twice)} stands twice; once is valid")
+
+
+class _OpenSections:
+    """Follows the events of a yaml, and knows which keys every open section has had."""
+
+    def __init__(self) -> None:
+        self.open: list[_Section] = []
+
+    def repeated(self, event: yaml.Event) -> str | None:
+        """The key that `event` writes a second time, if it does."""
+        if isinstance(event, yaml.CollectionEndEvent):
+            self.open.pop()
+        if not isinstance(event, yaml.NodeEvent):
+            return None
+        section = self.open[-1] if self.open else None
+        twice = None
+        if section is not None and section.is_mapping:
+            if section.key_is_next and isinstance(event, yaml.ScalarEvent):
+                twice = event.value if event.value in section.keys else None
+                section.keys.add(event.value)
+            section.key_is_next = not section.key_is_next
+        if isinstance(event, yaml.CollectionStartEvent):
+            self.open.append(_Section(isinstance(event, yaml.MappingStartEvent)))
+        return twice
+
+
+@dataclass
+class _Section:
+    """An open mapping or list of a yaml."""
+
+    is_mapping: bool
+    key_is_next: bool = True
+    keys: set[str] = field(default_factory=set)

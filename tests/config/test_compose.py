@@ -36,6 +36,7 @@ def wrong_value(annotation: typing.Any) -> str:
     return "[{}]" if schema.mismatch("wrong", annotation) is None else "wrong"
 
 
+COLOUR = "house.free_colours=[[32,115,185]]"
 CONFIG = compose_config()
 KEYS = keys_and_types(CONFIG)
 WRONG_TYPE = [f"{key}={wrong_value(annotation)}" for key, annotation in KEYS.items()]
@@ -264,3 +265,10 @@ def test_a_name_is_not_used_for_two_configs(run: Path) -> None:
     check_same_run(compose_config(["name=mine", "env.n_agents=3", "device=cuda"]), run)
     with pytest.raises(BadInput, match="env.n_agents=3, not 2"):
         check_same_run(compose_config(["name=mine"]), run)
+
+
+def test_a_later_key_of_a_level_counts_where_it_has_a_value() -> None:
+    plan = compose_config(["house=floorplan", "house.path=apartment"])
+    named = compose_config(["house=floorplan", "house.path=apartment", COLOUR])
+    assert config_hash(plan)[:8] == "a764d218"  # as before there was house.free_colours
+    assert config_hash(named) != config_hash(plan)

@@ -1,9 +1,12 @@
 """Where the real floor plans are: MARL_CLEAN_MAPS, by default beside the repository."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from marl_clean.house._plan_files import warn_once
 
 ROOT = Path(__file__).parents[2]
 
@@ -14,3 +17,10 @@ def maps() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real floor plans at {folder}: set MARL_CLEAN_MAPS")
     return folder
+
+
+@pytest.fixture(autouse=True)
+def warned_of_nothing_yet() -> Iterator[None]:
+    """Warnings come once a process; every test is to see its own."""
+    warn_once.cache_clear()
+    yield
