@@ -34,7 +34,13 @@ class GreedyJoint(TensorDictModuleBase):
         ]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        value = self.network(tensordict.get(keys.OBSERVATION))
+        seen = tensordict.get(keys.OBSERVATION)
+        if (n_agents := seen.shape[tensordict.ndim]) != self.n_agents:
+            raise BadInput(
+                f"env.n_agents={n_agents}: the policy is of {self.n_agents} robots together;"
+                f" give an env of {self.n_agents}"
+            )
+        value = self.network(seen)
         chosen, joint = value.max(-1, keepdim=True)
         joint = joint.squeeze(-1)
         tensordict.set(keys.JOINT_ACTION_VALUE, value)

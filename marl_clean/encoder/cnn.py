@@ -99,6 +99,7 @@ class Cnn(Encoder):
         self.convolutions = nn.Sequential(*convolutions)
         self.convolutions.to(memory_format=self.memory_format)  # type: ignore[call-overload]
         self.connected = connect([channels[-1] * math.prod(sides), *hidden], dropout)
+        self.observation_shape = tuple(observation_shape)
         self.out_features = hidden[-1]
         self.remember(memory)
 
@@ -106,6 +107,7 @@ class Cnn(Encoder):
         self, observation: Float[Tensor, "*batch agent channel row col"]
     ) -> Float[Tensor, "*batch agent feature"]:
         """Return one feature vector a robot, from its own observation alone."""
+        self.check_shape(observation)
         square = observation.flatten(0, -4)
         if self.planes:
             square = spread_codes(square)

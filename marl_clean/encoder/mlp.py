@@ -38,6 +38,7 @@ class Mlp(Encoder):
         if len(observation_shape) != 1:
             raise BadInput(f"encoder=mlp: takes a vector, not {list(observation_shape)}")
         self.connected = connect([observation_shape[0], *hidden], dropout)
+        self.observation_shape = tuple(observation_shape)
         self.out_features = hidden[-1]
         self.remember(memory)
 
@@ -45,4 +46,5 @@ class Mlp(Encoder):
         self, observation: Float[Tensor, "*batch agent entry"]
     ) -> Float[Tensor, "*batch agent feature"]:
         """Return one feature vector a robot, from its own observation alone."""
+        self.check_shape(observation)
         return self.connected(observation)

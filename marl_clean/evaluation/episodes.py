@@ -16,6 +16,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from marl_clean import build, keys
 from marl_clean.config.config_hash import config_hash
 from marl_clean.evaluation.records import Entry, make_entry
+from marl_clean.learning.acting import begin_carrying
 from marl_clean.world.random import Purpose, random_below, random_bits
 
 RANDOM = "random"
@@ -50,7 +51,7 @@ def play(
     steps = torch.zeros(base.num_envs, dtype=torch.int64)
     total = torch.zeros(base.num_envs, dtype=torch.float64)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        td = env.reset()
+        td = env.reset() if policy is None else begin_carrying(policy, env.reset())
         seeds = base.episode_seeds
         playing = ~td[keys.DONE].flatten().cpu()
         words = (base.env_index[:, None], Purpose.ACTION, torch.arange(base.n_agents))

@@ -26,6 +26,7 @@ from marl_clean.evaluation.metrics import Record, Recorder
 from marl_clean.evaluation.records import Entry, make_entry, means
 from marl_clean.house.base import Houses
 from marl_clean.keys import ACTION, MESSAGE_BITS, MESSAGE_EDGES
+from marl_clean.learning.acting import begin_carrying
 from marl_clean.planner.base import Planner
 from marl_clean.settings import HouseOrder
 from marl_clean.world.random import Purpose, random_below, random_bits, words_of_robots
@@ -180,7 +181,7 @@ def play(
     policy.eval()
     try:
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            td = env.reset()
+            td = begin_carrying(policy, env.reset())
             recorder = Recorder(env.base_env, certify, optimum)
             while recorder.playing.any():
                 td = act(policy, td, recorder.playing)

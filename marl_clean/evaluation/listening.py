@@ -20,7 +20,7 @@ from marl_clean import build, keys
 from marl_clean.evaluation.evaluator import held_out_env, with_random_actions
 from marl_clean.evaluation.interventions import Shuffle, Zero, intervened
 from marl_clean.evaluation.statistics import estimate
-from marl_clean.learning.acting import Greedy
+from marl_clean.learning.acting import Greedy, begin_carrying
 
 TEMPERATURE = 1.0  # of the policies that values are turned into, in units of reward
 MESSAGES = 8  # other messages, by which the influence of messages is estimated
@@ -46,7 +46,7 @@ def listening(cfg: DictConfig, policy: Greedy, count: int, epsilon: float) -> di
     heard = torch.zeros(count, dtype=torch.float64, device=env.device)
     playing = torch.ones(count, dtype=torch.bool, device=env.device)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        td = env.reset()
+        td = begin_carrying(policy, env.reset())
         while playing.any():
             hears = td[keys.ADJACENCY].any(-1) & playing[:, None]
             replaced = [one(td.clone())[keys.ACTION_VALUE] for one in (zeros, *others)]

@@ -4,25 +4,55 @@ from collections.abc import Sequence
 
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
 
 from marl_clean import keys
 from marl_clean.comm.base import Talk
+from marl_clean.errors import BadInput
 from marl_clean.learning.networks import RobotsNetwork
 
 TOLD = (keys.MESSAGE, keys.MESSAGE_EDGES, keys.MESSAGE_BITS)
 
 
 def entries(network: RobotsNetwork, frame: TensorDictBase) -> list[Tensor]:
-    """Return what the network takes, in its order; zeros for what no step has carried yet."""
+    """Return what the network takes, in its order.
+
+    Raises:
+        BadInput: the frame lacks some of it; what is carried from step to step must come from an
+            env that lets episodes begin with it, for of a loop that lost it nobody would know.
+    """
     found = [frame.get(key) for key in network.sees]
-    if network.carries and found[-1] is None:
-        specs = network.state_specs(frame.get(keys.ADJACENCY).shape[-1])
-        begin = [specs[key].zero(frame.batch_size).to(frame.device) for key in network.carries]
-        found[-len(begin) :] = begin
+    if any(entry is None for entry in found):
+        lacking = [key for key, entry in zip(network.sees, found, strict=True) if entry is None]
+        raise BadInput(_what_to_append(network, lacking))
     return found
+
+
+def _what_to_append(network: RobotsNetwork, lacking: Sequence[NestedKey]) -> str:
+    names = ", ".join(str(key[-1]) for key in lacking)
+    own = "or play in marl_clean.make_env(checkpoint=RUN), which has all that a run's policy needs"
+    if set(lacking) <= {*network.carries}:
+        return (
+            f"policy: carries {names} from step to step, and this env does not hold it;"
+            f" env.append_transform(policy.make_tensordict_primer()), {own}"
+        )
+    if keys.CHANNEL_SEED in lacking:
+        return (
+            f"policy: its channel draws, and this env has no {names};"
+            f" env.append_transform(marl_clean.env.channel_seed.ChannelSeed()), {own}"
+        )
+    return f"policy: sees {names}, and this env shows none; {own[3:]}"
+
+
+def begin_carrying(policy: nn.Module, frame: TensorDictBase) -> TensorDictBase:
+    """Write into a first frame that nothing is carried yet, as an env with the primer does."""
+    if isinstance(policy, Greedy):
+        specs = policy.network.state_specs(frame.get(keys.ADJACENCY).shape[-1])
+        for key, spec in specs.items():
+            frame.set(key, spec.zero(frame.batch_size).to(frame.device))
+    return frame
 
 
 def primer(network: RobotsNetwork, n_agents: int) -> TensorDictPrimer:

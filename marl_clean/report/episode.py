@@ -14,6 +14,7 @@ from marl_clean.env.scene import scene_of
 from marl_clean.env.viewer import Scene
 from marl_clean.evaluation.evaluator import PolicyFor, held_out_env, with_random_actions
 from marl_clean.keys import ACTION, ADJACENCY, DONE
+from marl_clean.learning.acting import begin_carrying
 
 
 def policy_of(cfg: DictConfig) -> PolicyFor:
@@ -40,7 +41,7 @@ def frames(
     policy = policy_for(env)
     policy.eval()
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        td = env.reset()
+        td = begin_carrying(policy, env.reset())
         yield td
         while not td[DONE].all():
             td = policy(td)

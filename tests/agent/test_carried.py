@@ -6,6 +6,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from marl_clean import build, keys
 from marl_clean.config.compose import compose_config
+from marl_clean.errors import BadInput
+from marl_clean.learning.acting import begin_carrying
 from marl_clean.trainer._training import CarriedCollector, Rows, Windows
 
 BASE = [
@@ -92,15 +94,35 @@ def test_what_is_carried_matters_and_gradients_cross_steps(settings: list[str]) 
 
 @pytest.mark.parametrize("settings", CARRYING.values(), ids=CARRYING)
 def test_evaluation_carries_what_training_carries(settings: list[str]) -> None:
-    """Without primer: what no step has carried yet is zeros."""
+    """Without primer: a loop that carries all that a step leaves begins with zeros."""
     cfg, agent, frames = played(settings, blocks=1)
     env = build.make_env(cfg)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        td, policy = env.reset(), agent.policy()
+        policy = agent.policy()
+        td = begin_carrying(policy, env.reset())
         for step in range(6):
             td = env.step(policy(td))
             torch.testing.assert_close(td[keys.ACTION_VALUE], frames[:, step][keys.ACTION_VALUE])
             td = step_mdp(td)
+
+
+@pytest.mark.parametrize("settings", CARRYING.values(), ids=CARRYING)
+def test_what_an_env_does_not_hold_is_named_and_never_made_up(settings: list[str]) -> None:
+    cfg = compose_config([*BASE, *settings])
+    env = build.make_env(cfg)
+    policy = build.make_agent(cfg, env).policy()
+    with pytest.raises(BadInput, match="make_tensordict_primer") as caught:
+        env.rollout(3, policy)
+    assert "\n" not in str(caught.value)
+    env.append_transform(policy.make_tensordict_primer())
+    env.rollout(3, policy)
+
+
+def test_an_env_without_draws_is_named() -> None:
+    cfg = compose_config([*BASE, "channel=lossy"])
+    policy = build.make_agent(cfg, build.make_env(cfg)).policy()
+    with pytest.raises(BadInput, match="channel_seed"):
+        policy(build.make_env(compose_config(BASE)).reset())
 
 
 def test_rows_are_cut_in_order_whatever_the_blocks() -> None:
