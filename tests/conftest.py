@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from jaxtyping import install_import_hook
+from jaxtyping import config, install_import_hook
 
 install_import_hook("marl_clean", "beartype.beartype")
 
@@ -20,6 +20,18 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def unchecked() -> Iterator[None]:
+    """Leave out the checks of shapes and types, which take half of the time of a training run.
+
+    For tests that train for thousands of frames to see what is learnt, or play for thousands to
+    see that a play repeats: every function that they call is checked in other tests.
+    """
+    config.update("jaxtyping_disable", True)
+    yield
+    config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture

@@ -15,14 +15,13 @@ from tests.agent.parts import make_agent, make_learner
 from tests.comm.contract import LEVELS, make
 from tests.comm.doors import doors_for, share_right
 
-pytestmark = pytest.mark.usefixtures("one_thread")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread", "unchecked")]
 
 FRAMES = 8_192
 SILENT = ["none", "zeroed"]
 TALKING = [level for level, _ in LEVELS if level not in SILENT]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("learner", ["vdn", "qmix"])
 def test_mixers_learn_to_talk_too(tmp_path, learner):
     agent = make_learner(
@@ -32,7 +31,6 @@ def test_mixers_learn_to_talk_too(tmp_path, learner):
     assert share_right(agent, hold=1) > 0.95
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("learner", "comm"), [("ippo", "plan"), ("mappo", "commnet")])
 def test_policies_that_draw_learn_to_talk_too(tmp_path, learner, comm):
     agent = make_learner(learner, comm, gamma=0.0, lr=3e-3, lr_end=3e-3)
@@ -40,14 +38,12 @@ def test_policies_that_draw_learn_to_talk_too(tmp_path, learner, comm):
     assert share_right(agent, hold=1) > 0.95
 
 
-@pytest.mark.slow
 def test_a_policy_that_draws_guesses_in_silence(tmp_path):
     agent = make_learner("ippo", "none", gamma=0.0, lr=3e-3, lr_end=3e-3)
     train_on_policy(agent, tmp_path, hold=1)
     assert 0.4 <= share_right(agent, hold=1) <= 0.6
 
 
-@pytest.mark.slow
 def test_a_policy_that_draws_hears_late_messages(tmp_path):
     channels = {"delayed": Delayed(1, False, make("commnet", hidden=24).message_dims)}
     agent = make_learner("ippo", "commnet", gamma=0.0, lr=3e-3, lr_end=3e-3, channels=channels)
@@ -99,21 +95,18 @@ def train_off_policy(agent: Agent, folder: Path, hold: int) -> None:
     run(trainer, agent, folder, hold)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("comm", TALKING)
 def test_who_talks_opens_the_right_door(tmp_path, comm):
     hold = 1 + make(comm).delay_steps
     assert right_after_training(tmp_path, comm, hold) > 0.95
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("hold", [1, 2])
 @pytest.mark.parametrize("comm", SILENT)
 def test_who_is_silent_guesses(tmp_path, comm, hold):
     assert 0.4 <= right_after_training(tmp_path, comm, hold) <= 0.6
 
 
-@pytest.mark.slow
 def test_a_message_that_comes_a_step_late_helps_only_if_the_door_waits(tmp_path):
     late = {"steps": 1, "random": False, "message_dims": make("commnet", hidden=24).message_dims}
     for hold, right in ((1, False), (2, True)):
