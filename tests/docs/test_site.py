@@ -77,6 +77,34 @@ def test_the_glossary_is_short() -> None:
     assert len((DOCS / "glossary.md").read_text().splitlines()) <= 40
 
 
+TEXTS = [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+OF_AN_EXAMPLE = ("mean", "my_package")
+
+
+@pytest.mark.parametrize("page", TEXTS, ids=lambda page: page.name)
+def test_files_and_modules_that_pages_name_exist(page: Path) -> None:
+    text = page.read_text()
+    paths = re.findall(r"`((?:marl_clean|conf|tests|weights|examples|docs)/[\w./-]*)`", text)
+    modules = re.findall(r"`(marl_clean(?:\.[a-z_0-9]+)+)", text)
+    paths += [module.replace(".", "/") for module in modules]
+    paths = [path for path in paths if not any(name in path for name in OF_AN_EXAMPLE)]
+    assert [path for path in paths if not is_there(path)] == []
+
+
+def is_there(path: str) -> bool:
+    """Whether it is a file or folder, a module, or a name that a module has."""
+    parent, _, name = path.rpartition("/")
+    if (ROOT / path).exists() or (ROOT / f"{path}.py").is_file():
+        return True
+    within = (ROOT / f"{parent}.py", ROOT / parent / "__init__.py")
+    return any(file.is_file() and re.search(rf"\b{name}\b", file.read_text()) for file in within)
+
+
+def test_a_file_that_is_not_there_is_seen() -> None:
+    assert is_there("marl_clean/comm/base.py") and is_there("marl_clean/make_env")
+    assert not is_there("marl_clean/comm/basis.py") and not is_there("marl_clean/pettingzoo/nope")
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_settings_that_pages_name_exist(page: Path) -> None:
     """Every `room=level` and `+experiment=NAME` in code."""
