@@ -92,6 +92,7 @@ class Comm(nn.Module, ABC):
             and what a robot knows crosses as many edges within one step.
         bits_per_number: what one costs.
         dilutes: what is heard is divided by how many other robots there are, in reach or not.
+        detach: a receiver's loss does not reach the sender's features.
         pull: weight of a loss that pulls attention towards that of the next frame.
         delay_steps: steps after which a message is heard, as part of the scheme.
         out_features: length of the features it gives.
@@ -101,6 +102,7 @@ class Comm(nn.Module, ABC):
     out_features: int
     bits_per_number: int = BITS_PER_FLOAT
     dilutes: bool = False
+    detach: bool = False
     pull: float = 0.0
     delay_steps: int = 0
 

@@ -1,11 +1,13 @@
 """Levels for the contracts: by the name of their yaml, or by their class and its settings."""
 
+import importlib
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from marl_clean.config import schema
 from marl_clean.config.compose import SEVERAL, compose_config
@@ -22,19 +24,25 @@ class Maker:
 
     Attributes:
         label: what the level is called in messages, such as `comm=plan`.
+        level: its class.
         build: from keyword arguments to a new object.
-        takes: whether the constructor has a parameter of this name.
-        constant: what the class sets a name to, None where it says nothing.
     """
 
     label: str
+    level: type
     build: Callable[..., Any]
-    takes: Callable[[str], bool]
-    constant: Callable[[str], Any]
 
     def __call__(self, **parts: Any) -> Any:
         """Return a new object; parts that the constructor does not ask for are left out."""
         return self.build(**{name: part for name, part in parts.items() if self.takes(name)})
+
+    def takes(self, name: str) -> bool:
+        """Tell whether the constructor has a parameter of this name."""
+        return name in _parameters(self.level)
+
+    def constant(self, name: str) -> Any:
+        """Return what the class sets a name to, None where it says nothing."""
+        return getattr(self.level, name, None)
 
 
 def maker(room: str, level: Level, settings: Mapping[str, Any]) -> Maker:
@@ -43,33 +51,35 @@ def maker(room: str, level: Level, settings: Mapping[str, Any]) -> Maker:
     Raises:
         BadInput: no such level, or a setting that it does not take.
     """
+    name = level.__name__ if isinstance(level, type) else level
+    changes = (f"{room}.{key}={value}" for key, value in settings.items())
+    label = " ".join([f"{room}={name}", *changes])
     if isinstance(level, type):
-        return _of_class(room, level, dict(settings))
-    composed = compose_config([f"{room}=[{level}]" if room in SEVERAL else f"{room}={level}"])
-    section = composed[room][level] if room in SEVERAL else composed[room]
+        return Maker(label, level, lambda **parts: level(**{**settings, **parts}))
+    section = _section(room, level)
     changed = OmegaConf.create({**section, **settings})
     key = f"{room}.{level}" if room in SEVERAL else room
     for problem in schema.problems_of_level(container(changed), key, room):
         raise BadInput(f"{problem.key}: {problem.reason}")
-    target = str(section["_target_"])
-    return Maker(
-        label=_label(room, level, settings),
-        build=lambda **parts: schema.instantiate(changed, **parts),
-        takes=lambda name: schema.takes(target, name),
-        constant=lambda name: schema.constant(target, name),
-    )
+    module, _, class_name = str(section["_target_"]).rpartition(".")
+    of_name = getattr(importlib.import_module(module), class_name)
+    return Maker(label, of_name, lambda **parts: schema.instantiate(changed, **parts))
 
 
-def _of_class(room: str, level: type, settings: dict[str, Any]) -> Maker:
-    parameters = inspect.signature(level).parameters
-    return Maker(
-        label=_label(room, level.__name__, settings),
-        build=lambda **parts: level(**{**settings, **parts}),
-        takes=lambda name: name in parameters,
-        constant=lambda name: getattr(level, name, None),
-    )
+@cache
+def _section(room: str, level: str) -> DictConfig:
+    """Return a level's values by its yaml; kept, since composing takes longer than a clause."""
+    composed = compose_config([f"{room}=[{level}]" if room in SEVERAL else f"{room}={level}"])
+    return composed[room][level] if room in SEVERAL else composed[room]
 
 
-def _label(room: str, level: str, settings: Mapping[str, Any]) -> str:
-    changes = (f"{room}.{key}={value}" for key, value in settings.items())
-    return " ".join([f"{room}={level}", *changes])
+def _parameters(level: type) -> set[str]:
+    """The names that a constructor takes, those that it hands to its bases' by **kwargs too."""
+    names: set[str] = set()
+    for base in level.__mro__:
+        if "__init__" in vars(base):
+            given = inspect.signature(base.__init__).parameters.values()
+            names |= {parameter.name for parameter in given}
+            if all(parameter.kind is not parameter.VAR_KEYWORD for parameter in given):
+                break
+    return names - {"self"}

@@ -16,6 +16,7 @@ from marl_clean.comm.full_state import FullState
 from marl_clean.comm.ic3net import Ic3Net
 from marl_clean.comm.plan import Plan
 from marl_clean.comm.tarmac import TarMac
+from marl_clean.testing._broken import require_close, require_equal
 
 Vector = list[float]
 Rows = list[Vector]
@@ -79,9 +80,9 @@ def agrees(comm: Comm, expected: Rows, numbers: int) -> None:
     """A scheme gives these features, and each robot pays for this many floats an edge."""
     feature = torch.tensor(FEATURE, dtype=torch.float64)
     joined, _, _, bits, _ = comm.double()(feature, LIVE, RANK)
-    torch.testing.assert_close(joined, torch.tensor(expected, dtype=torch.float64))
+    require_close(joined, torch.tensor(expected, dtype=torch.float64), "not the equation")
     paid: Tensor = torch.tensor([[2.0], [1.0], [1.0], [0.0]], dtype=torch.float64)
-    assert torch.equal(bits, 32 * numbers * paid)
+    require_equal(bits, 32 * numbers * paid, "bits")
 
 
 def plan(combine: str, kind: type[Plan] = Plan) -> None:

@@ -1,16 +1,19 @@
 """Planted defects: the contract and the equations refuse schemes that are nearly right."""
 
-from collections.abc import Callable
+import re
 
 import pytest
 import torch
+from torch import nn
 
 from marl_clean.comm.commnet import CommNet
 from marl_clean.comm.dgn import Dgn
 from marl_clean.comm.plan import Plan
 from marl_clean.comm.tarmac import TarMac
-from tests.comm import contract, equations
-from tests.comm.contract import FEATURES
+from marl_clean.testing import ContractBroken, check_comm, comm
+from marl_clean.testing._broken import Clause, verify
+from marl_clean.testing._levels import maker
+from tests.comm import equations
 
 
 class LeakingMean(CommNet):
@@ -72,7 +75,59 @@ class FarOff(CommNet):
     """Hears whom its neighbours hear in the same round."""
 
     def mean(self, hidden, adjacency):
-        return super().mean(hidden, contract.within(adjacency, 2))
+        return super().mean(hidden, comm.within(adjacency, 2))
+
+
+class Cheap(CommNet):
+    """Sends floats at the price of bits."""
+
+    bits_per_number = 1
+
+
+class Secretive(CommNet):
+    """Detaches what it sends and does not say so."""
+
+    def speak(self, state, round_index):
+        return super().speak(state, round_index).detach()
+
+
+class InAdvance(CommNet):
+    """Tells of everybody at once."""
+
+    def begin(self, feature):
+        skip, hidden = super().begin(feature)
+        return skip, hidden + hidden.mean(-2, keepdim=True)
+
+
+class OverWorlds(CommNet):
+    """Takes all worlds together."""
+
+    def end(self, state):
+        hidden = super().end(state)
+        return hidden - hidden.mean() if hidden.ndim == 3 else hidden
+
+
+class Idle(CommNet):
+    """Has weights that do nothing."""
+
+    def __init__(self, *args, **settings):
+        super().__init__(*args, **settings)
+        self.idle = nn.Linear(2, 2)
+
+
+class Wide(CommNet):
+    """Says that it gives more than it does."""
+
+    def __init__(self, *args, **settings):
+        super().__init__(*args, **settings)
+        self.out_features += 1
+
+
+class Inattentive(Dgn):
+    """Reports attention to everybody."""
+
+    def attention(self, state):
+        return torch.full_like(super().attention(state), 0.1)
 
 
 SETTINGS = {
@@ -96,31 +151,95 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize(
-    ("wrong", "check"),
+    ("wrong", "clause", "broken"),
     [
-        (LeakingMean, contract.a_dead_edge_has_no_influence_not_even_nan_and_no_gradient),
-        (EveryoneHeard, contract.a_dead_edge_has_no_influence_not_even_nan_and_no_gradient),
-        (EveryoneHeard, contract.gradient_crosses_exactly_the_edges_within_the_rounds),
-        (EveryoneHeard, contract.without_live_edge_the_others_may_be_anyone_or_missing),
-        (SilentCounted, contract.robots_out_of_reach_may_be_added_anywhere),
-        (FarOff, contract.rounds_reach_as_many_hops_and_no_further),
-        (OneRoundPaid, contract.bits_are_those_of_the_numbers_sent),
-        (ByNumber, contract.relabelling_the_robots_relabels_the_result),
+        (
+            LeakingMean,
+            comm.a_dead_edge_has_no_influence_not_even_nan_and_no_gradient,
+            "NaN of robot 0 crosses a dead edge to",
+        ),
+        (
+            EveryoneHeard,
+            comm.a_dead_edge_has_no_influence_not_even_nan_and_no_gradient,
+            "a gradient of .* crosses dead edges to robot 0",
+        ),
+        (
+            EveryoneHeard,
+            comm.gradient_crosses_exactly_the_edges_within_the_rounds,
+            "reaches robots .*, not within its rounds of live edges",
+        ),
+        (
+            EveryoneHeard,
+            comm.without_live_edge_the_others_may_be_anyone_or_missing,
+            "with no live edge, robot 0 of 4 has other features than alone: at",
+        ),
+        (
+            SilentCounted,
+            comm.robots_out_of_reach_change_nothing_unless_it_dilutes,
+            "without robot 2, whom nobody reaches it has another feature: at",
+        ),
+        (
+            FarOff,
+            comm.rounds_reach_as_many_hops_and_no_further,
+            "crosses 2 edges in 1 rounds",
+        ),
+        (
+            OneRoundPaid,
+            comm.bits_are_those_of_the_numbers_sent,
+            "round 1 sends 8 numbers and pays for 0",
+        ),
+        (
+            ByNumber,
+            comm.relabelling_the_robots_relabels_the_result,
+            r"robots renumbered as \[2, 0, 1\] it has another feature: at",
+        ),
+        (
+            Cheap,
+            comm.bits_are_those_of_the_numbers_sent,
+            "different values in messages of 1 bits a number",
+        ),
+        (
+            Secretive,
+            comm.gradient_crosses_exactly_the_edges_within_the_rounds,
+            "reaches none of",
+        ),
+        (
+            InAdvance,
+            comm.what_a_robot_sends_depends_on_nobody_out_of_reach,
+            "in a message, a feature of robot 0 crosses a dead edge to",
+        ),
+        (
+            OverWorlds,
+            comm.a_batch_is_its_worlds_one_by_one,
+            "feature of world 0 of 5 is another alone: at",
+        ),
+        (Idle, comm.every_weight_learns, "idle.weight gets no gradient"),
+        (Wide, comm.shapes, r"feature is \[1, 8\], not \[1, 9\]"),
+        (
+            Inattentive,
+            comm.attention_is_paid_over_live_edges,
+            "attention of .* falls on a dead edge",
+        ),
     ],
 )
-def test_the_contract_refuses(wrong: type, check: Callable) -> None:
-    torch.manual_seed(0)
-    comm = wrong(FEATURES, **SETTINGS[wrong.__base__]).double()
-    with pytest.raises(AssertionError):
-        check(comm)
+def test_the_contract_refuses(wrong: type, clause: Clause, broken: str) -> None:
+    """By the clause that it breaks, and by the contract as a whole."""
+    settings = SETTINGS[wrong.__base__]
+    for clauses in ([clause], comm.CLAUSES):
+        with pytest.raises(ContractBroken) as caught:
+            verify("planted", clauses, maker("comm", wrong, settings))
+        if clauses == [clause]:
+            assert re.search(broken, str(caught.value))
+    with pytest.raises(ContractBroken, match=f"^comm={wrong.__name__} "):
+        check_comm(wrong, **settings)
 
 
 @pytest.mark.parametrize("wrong", [SilentCounted, ItselfHeard, FarOff])
 def test_the_equation_refuses_a_wrong_mean(wrong: type[CommNet]) -> None:
-    with pytest.raises(AssertionError):
+    with pytest.raises(ContractBroken):
         equations.commnet("live", kind=wrong)
 
 
 def test_the_equation_refuses_a_wrong_scale() -> None:
-    with pytest.raises(AssertionError):
+    with pytest.raises(ContractBroken):
         equations.tarmac(kind=Unscaled)

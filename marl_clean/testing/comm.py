@@ -1,0 +1,306 @@
+"""What every communication scheme must hold."""
+
+from typing import Any
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from marl_clean.comm.base import BITS_PER_FLOAT, Comm, Talk
+from marl_clean.testing._broken import (
+    Clause,
+    require,
+    require_close,
+    require_equal,
+    verify,
+)
+from marl_clean.testing._levels import Level, Maker, maker
+
+FEATURES = 12
+OBSERVED = 50  # numbers in an observation, for schemes that send those
+TALK = ("feature", "message", "edges", "bits")  # of `Talk`, in its order
+
+
+def check_comm(level: Level, *, compiled: bool = False, **settings: Any) -> None:
+    """A scheme lets nothing cross but over live edges, and pays for what it sends.
+
+        >>> check_comm("tarmac", rounds=2)
+
+    A class is handed `in_features`, and `observed` where its constructor asks for it.
+
+    Args:
+        level: its name, as on the command line, or its class.
+        compiled: hold it compiled by `torch.compile`, in one graph, against itself too.
+        settings: of the level, instead of its yaml's.
+
+    Raises:
+        ContractBroken: what does not hold, with world, robots and numbers.
+        BadInput: no such level or setting.
+    """
+    made = maker("comm", level, settings)
+    verify(made.label, (*CLAUSES, compiled_it_is_the_same) if compiled else CLAUSES, made)
+
+
+def make_scheme(make: Maker) -> Comm:
+    """Return the scheme in double precision as it is used, with weights drawn from seed 0."""
+    with torch.random.fork_rng([]):
+        torch.manual_seed(0)
+        return make(in_features=FEATURES, observed=OBSERVED).double().eval()
+
+
+def draw(
+    *batch: int, n_agents: int, share: float = 0.5, seed: int = 0
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return features, a graph of so many live edges, and ranks by distance of random places."""
+    generator = torch.Generator().manual_seed(seed)
+    rand = torch.rand(*batch, n_agents, n_agents, generator=generator)
+    live = (rand < share).triu(1)
+    place = torch.rand(*batch, n_agents, 2, generator=generator)
+    rank = torch.cdist(place, place).argsort(-1).argsort(-1)
+    feature = torch.randn(*batch, n_agents, FEATURES, generator=generator, dtype=torch.float64)
+    return feature, live | live.mT, rank
+
+
+def line(length: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Return live edges of robots in a line, each in contact with the next; ranks; hops apart."""
+    place = torch.arange(length)
+    hops = (place - place[:, None]).abs()
+    rank = hops.mul(2).add(place > place[:, None]).argsort(-1).argsort(-1)
+    return hops == 1, rank, hops
+
+
+def within(live: Tensor, rounds: int) -> Bool[Tensor, "..."]:
+    """Tell whether j is i itself or at most so many live edges away."""
+    itself = torch.eye(live.shape[-1], dtype=torch.float64).expand(live.shape)
+    return torch.linalg.matrix_power(itself + live, rounds) > 0
+
+
+def require_unheard(after: Tensor, before: Tensor, reach: Tensor, sender: int, what: str) -> None:
+    """Raise ContractBroken where a robot that `sender` does not reach has another result."""
+    wrong = (after != before).any(-1) & ~reach[..., sender]
+    if wrong.any():
+        place = tuple(wrong.nonzero()[0].tolist())
+        number = int((after[place] != before[place]).nonzero()[0])
+        values = f"{before[place][number].item()} became {after[place][number].item()}"
+        require(False, f"{what} of robot {sender} crosses a dead edge to {list(place)}: {values}")
+
+
+def shapes(make: Maker) -> None:
+    """A talk has a feature, message, edges and bits of each robot, whatever the batch."""
+    comm = make_scheme(make)
+    for batch in ((), (1,), (5,), (2, 3)):
+        for n_agents in (1, 2, 5):
+            talk = comm(*draw(*batch, n_agents=n_agents))
+            words = sum(comm.message_dims[: comm.rounds])
+            widths = (comm.out_features, words, comm.rounds, 1)
+            for name, entry, width in zip(TALK, talk[:4], widths, strict=True):
+                wanted, shape = [*batch, n_agents, width], list(entry.shape)
+                require(shape == wanted, f"{name} is {shape}, not {wanted}")
+
+
+def relabelling_the_robots_relabels_the_result(make: Maker) -> None:
+    """Nothing depends on how robots are numbered."""
+    comm = make_scheme(make)
+    for n_agents, numbers in ((2, [1, 0]), (3, [2, 0, 1]), (6, [3, 0, 5, 1, 4, 2])):
+        feature, live, rank = draw(4, n_agents=n_agents)
+        order = torch.tensor(numbers)
+        renamed = comm(feature[:, order], live[:, order][..., order], rank[:, order][..., order])
+        _require_same(comm(feature, live, rank), renamed, order, f"robots renumbered as {numbers}")
+
+
+def a_dead_edge_has_no_influence_not_even_nan_and_no_gradient(make: Maker) -> None:
+    """Over a dead edge nothing crosses: no number, not even NaN, and no gradient."""
+    comm = make_scheme(make)
+    feature, live, rank = draw(6, n_agents=5, share=0.3)
+    reach, before = within(live, comm.rounds), comm(feature, live, rank).feature
+    for sender in range(5):
+        deaf = ~reach[:, :, sender]
+        inputs = feature.clone().requires_grad_()
+        comm(inputs, live, rank).feature[deaf].sum().backward()
+        grad = inputs.grad[:, sender].abs().max().item()
+        require(grad == 0, f"a gradient of {grad} crosses dead edges to robot {sender}")
+        poisoned = feature.clone()
+        poisoned[:, sender] = torch.nan
+        poisoned.requires_grad_()
+        after = comm(poisoned, live, rank).feature
+        require_unheard(after, before, reach, sender, "NaN")
+        after[deaf].sum().backward()
+        # Who hears the poisoned one hands 0 x NaN back to whom it hears, and no further.
+        untouched = ~within(live, 2 * comm.rounds)[:, :, sender]
+        finite = poisoned.grad[untouched].isfinite()
+        require(finite, f"NaN of robot {sender} crosses a dead edge in the gradient")
+
+
+def gradient_crosses_exactly_the_edges_within_the_rounds(make: Maker) -> None:
+    """A robot's loss reaches itself and, unless messages are detached, whom it hears; no other."""
+    comm = make_scheme(make)
+    feature, live, rank = draw(4, n_agents=4, share=0.4)
+    feature.requires_grad_()
+    with torch.random.fork_rng([]):
+        torch.manual_seed(0)
+        talk = comm.train()(feature, live, rank)  # in use bits and gates have none
+    reach, itself = within(live, comm.rounds), torch.eye(4, dtype=torch.bool)
+    crosses = talk.message.shape[-1] > 0 and not comm.detach
+    for world in range(4):
+        for receiver in range(4):
+            loss = talk.feature[world, receiver].sum()
+            (grad,) = torch.autograd.grad(loss, feature, retain_graph=True)
+            touched = grad.abs().sum(-1).ne(0)
+            where = f"the loss of robot {receiver} in world {world}"
+            require(touched[world, receiver], f"{where} does not reach its own features")
+            other_worlds = touched[torch.arange(4) != world]
+            require(not other_worlds.any(), f"{where} reaches another world")
+            allowed = reach[world, receiver] if crosses else itself[receiver]
+            wrong = (touched[world] & ~allowed).nonzero()[:, 0].tolist()
+            why = "not within its rounds of live edges" if crosses else "though detached"
+            require(not wrong, f"{where} reaches robots {wrong}, {why}")
+            others = allowed & ~itself[receiver]
+            reached = bool(touched[world][others].any()) or not others.any()
+            require(reached, f"{where} reaches none of {others.nonzero()[:, 0].tolist()}")
+
+
+def rounds_reach_as_many_hops_and_no_further(make: Maker) -> None:
+    """What a robot knows crosses as many edges within a step as there are rounds."""
+    comm = make_scheme(make)
+    length = comm.rounds + 3
+    live, rank, hops = line(length)
+    live, rank = (x.expand(16, length, length) for x in (live, rank))
+    feature = draw(16, n_agents=length)[0]
+    before = comm(feature, live, rank).feature
+    farthest = 0
+    for sender in range(length):
+        moved = feature.clone()
+        moved[:, sender] += 1
+        changed = (comm(moved, live, rank).feature != before).any(-1).any(0)
+        farthest = max(farthest, int(hops[sender].masked_fill(~changed, 0).max()))
+    reached = f"what a robot knows crosses {farthest} edges in {comm.rounds} rounds"
+    require(farthest == comm.rounds, reached)
+
+
+def without_live_edge_the_others_may_be_anyone_or_missing(make: Maker) -> None:
+    """A robot that nobody reaches knows what it would know alone in the world."""
+    comm = make_scheme(make)
+    feature, live, rank = draw(3, n_agents=4, share=0.0)
+    alone = comm(feature[:, :1], live[:, :1, :1], rank[:, :1, :1]).feature
+    among = comm(feature, live, rank).feature[:, :1]
+    require_close(among, alone, "with no live edge, robot 0 of 4 has other features than alone")
+
+
+def a_batch_is_its_worlds_one_by_one(make: Maker) -> None:
+    """A world's talk is what it is alone."""
+    comm = make_scheme(make)
+    inputs = draw(5, n_agents=3)
+    together = comm(*inputs)
+    for world in range(5):
+        alone = comm(*(x[world] for x in inputs))
+        for name, mine, theirs in zip(TALK, together[:4], alone[:4], strict=True):
+            require_close(mine[world], theirs, f"{name} of world {world} of 5 is another alone")
+
+
+def bits_are_those_of_the_numbers_sent(make: Maker) -> None:
+    """A robot pays for each live edge, round and number of what it sends, silence aside."""
+    comm = make_scheme(make)
+    talk, live = comm(*draw(4, n_agents=5)), draw(4, n_agents=5)[1]
+    receivers = live.sum(-2).unsqueeze(-1).to(talk.bits.dtype)
+    edges, bits = [receivers[..., :0]], torch.zeros_like(talk.bits)
+    parts = talk.message.split(list(comm.message_dims[: comm.rounds]), dim=-1)
+    for round_index, part in enumerate(parts if comm.rounds else ()):
+        spoken = part.ne(0).any(-1, keepdim=True) if comm.gated else torch.ones_like(receivers)
+        edges.append(receivers * spoken)
+        sent = OBSERVED if make.takes("observed") else part.shape[-1]
+        numbers = comm.numbers(round_index)
+        paid = f"round {round_index} sends {sent} numbers and pays for {numbers}"
+        require(numbers == sent, paid)
+        bits = bits + comm.bits_per_number * sent * edges[-1]
+    require_equal(talk.edges, torch.cat(edges, -1), "edges are not those that were sent over")
+    require_equal(talk.bits, bits, "bits are not those of the numbers sent")
+    most = 2**comm.bits_per_number if comm.bits_per_number < BITS_PER_FLOAT else None
+    values = talk.message.unique().numel()
+    told = f"{values} different values in messages of {comm.bits_per_number} bits a number"
+    require(most is None or values <= most, told)
+
+
+def what_a_robot_sends_depends_on_nobody_out_of_reach(make: Maker) -> None:
+    """A message holds what its sender knows by then, of nobody farther than the rounds before."""
+    comm = make_scheme(make)
+    feature, live, rank = draw(6, n_agents=5, share=0.3)
+    reach = within(live, max(0, comm.rounds - 1))
+    before = comm(feature, live, rank).message
+    for robot in range(5):
+        moved = feature.clone()
+        moved[:, robot] += 1
+        after = comm(moved, live, rank).message
+        require_unheard(after, before, reach, robot, "in a message, a feature")
+
+
+def robots_out_of_reach_change_nothing_unless_it_dilutes(make: Maker) -> None:
+    """Robots that nobody reaches may be added, unless the scheme says that their number counts."""
+    comm = make_scheme(make)
+    feature, live, rank = draw(3, n_agents=5, share=0.7)
+    live[:, 2], live[:, :, 2] = False, False
+    kept = torch.tensor([0, 1, 3, 4])
+    fewer = rank[:, kept][..., kept].argsort(-1).argsort(-1)
+    without = comm(feature[:, kept], live[:, kept][..., kept], fewer)
+    among = comm(feature, live, rank)
+    if comm.dilutes:
+        same = torch.equal(among.feature[:, kept], without.feature)
+        require(not same, "dilutes is True, and a robot more out of reach changes nothing")
+        return
+    _require_same(among, without, kept, "without robot 2, whom nobody reaches")
+
+
+def attention_is_paid_over_live_edges(make: Maker) -> None:
+    """Where a scheme attends, the weights are shares, and none falls on a dead edge."""
+    comm = make_scheme(make)
+    feature, live, rank = draw(4, n_agents=5)
+    attention = comm(feature, live, rank).attention
+    if attention is None:
+        require(comm.pull == 0, f"pull is {comm.pull}, and there is no attention to pull")
+        return
+    require(attention.ndim == 4, f"attention is {list(attention.shape)}, not [batch, head, n, n]")
+    dead = ~live & ~torch.eye(5, dtype=torch.bool)
+    most = attention.masked_fill(~dead[:, None], 0).abs().max().item()
+    require(most == 0, f"attention of {most} falls on a dead edge")
+    least, sums = attention.min().item(), attention.sum(-1)
+    require(least >= 0, f"attention of {least} is no share")
+    require(sums <= 1 + 1e-9, f"a robot's attention sums to {sums.max().item()}, more than 1")
+
+
+def every_weight_learns(make: Maker) -> None:
+    """Every weight gets a gradient."""
+    comm = make_scheme(make).train()
+    if not list(comm.parameters()):
+        return
+    comm(*draw(4, n_agents=4)).feature.sum().backward()
+    for name, weight in comm.named_parameters():
+        require(weight.grad is not None, f"{name} gets no gradient")
+
+
+def compiled_it_is_the_same(make: Maker) -> None:
+    """Compiled by `torch.compile` into one graph, it gives the same."""
+    comm, inputs = make_scheme(make), draw(4, n_agents=3)
+    torch.compiler.reset()
+    compiled = torch.compile(comm, fullgraph=True, backend="eager")(*inputs)
+    for name, mine, theirs in zip(TALK, comm(*inputs)[:4], compiled[:4], strict=True):
+        require_close(theirs, mine, f"compiled, {name} is another", tolerance=1e-9)
+
+
+def _require_same(mine: Talk, theirs: Talk, robots: Tensor, what: str) -> None:
+    for name, one, other in zip(TALK, mine[:4], theirs[:4], strict=True):
+        require_close(one[:, robots], other, f"{what} it has another {name}")
+
+
+CLAUSES: tuple[Clause, ...] = (
+    shapes,
+    relabelling_the_robots_relabels_the_result,
+    a_dead_edge_has_no_influence_not_even_nan_and_no_gradient,
+    gradient_crosses_exactly_the_edges_within_the_rounds,
+    rounds_reach_as_many_hops_and_no_further,
+    without_live_edge_the_others_may_be_anyone_or_missing,
+    a_batch_is_its_worlds_one_by_one,
+    bits_are_those_of_the_numbers_sent,
+    what_a_robot_sends_depends_on_nobody_out_of_reach,
+    robots_out_of_reach_change_nothing_unless_it_dilutes,
+    attention_is_paid_over_live_edges,
+    every_weight_learns,
+)
