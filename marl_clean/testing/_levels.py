@@ -57,7 +57,7 @@ def maker(room: str, level: Level, settings: Mapping[str, Any]) -> Maker:
     if isinstance(level, type):
         return Maker(label, level, lambda **parts: level(**{**settings, **parts}))
     section = _section(room, level)
-    changed = OmegaConf.create({**section, **settings})
+    changed = OmegaConf.create({**container(section), **settings})
     key = f"{room}.{level}" if room in SEVERAL else room
     for problem in schema.problems_of_level(container(changed), key, room):
         raise BadInput(f"{problem.key}: {problem.reason}")
@@ -78,7 +78,7 @@ def _parameters(level: type) -> set[str]:
     names: set[str] = set()
     for base in level.__mro__:
         if "__init__" in vars(base):
-            given = inspect.signature(base.__init__).parameters.values()
+            given = inspect.signature(vars(base)["__init__"]).parameters.values()
             names |= {parameter.name for parameter in given}
             if all(parameter.kind is not parameter.VAR_KEYWORD for parameter in given):
                 break

@@ -3,7 +3,6 @@
 from typing import Any
 
 import torch
-from jaxtyping import Bool
 from torch import Tensor
 
 from marl_clean.comm.base import BITS_PER_FLOAT, Comm, Talk
@@ -14,9 +13,9 @@ from marl_clean.testing._broken import (
     require_equal,
     verify,
 )
+from marl_clean.testing._graphs import FEATURES, draw, line, require_unheard, within
 from marl_clean.testing._levels import Level, Maker, maker
 
-FEATURES = 12
 OBSERVED = 50  # numbers in an observation, for schemes that send those
 TALK = ("feature", "message", "edges", "bits")  # of `Talk`, in its order
 
@@ -46,43 +45,6 @@ def make_scheme(make: Maker) -> Comm:
     with torch.random.fork_rng([]):
         torch.manual_seed(0)
         return make(in_features=FEATURES, observed=OBSERVED).double().eval()
-
-
-def draw(
-    *batch: int, n_agents: int, share: float = 0.5, seed: int = 0
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return features, a graph of so many live edges, and ranks by distance of random places."""
-    generator = torch.Generator().manual_seed(seed)
-    rand = torch.rand(*batch, n_agents, n_agents, generator=generator)
-    live = (rand < share).triu(1)
-    place = torch.rand(*batch, n_agents, 2, generator=generator)
-    rank = torch.cdist(place, place).argsort(-1).argsort(-1)
-    feature = torch.randn(*batch, n_agents, FEATURES, generator=generator, dtype=torch.float64)
-    return feature, live | live.mT, rank
-
-
-def line(length: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return live edges of robots in a line, each in contact with the next; ranks; hops apart."""
-    place = torch.arange(length)
-    hops = (place - place[:, None]).abs()
-    rank = hops.mul(2).add(place > place[:, None]).argsort(-1).argsort(-1)
-    return hops == 1, rank, hops
-
-
-def within(live: Tensor, rounds: int) -> Bool[Tensor, "..."]:
-    """Tell whether j is i itself or at most so many live edges away."""
-    itself = torch.eye(live.shape[-1], dtype=torch.float64).expand(live.shape)
-    return torch.linalg.matrix_power(itself + live, rounds) > 0
-
-
-def require_unheard(after: Tensor, before: Tensor, reach: Tensor, sender: int, what: str) -> None:
-    """Raise ContractBroken where a robot that `sender` does not reach has another result."""
-    wrong = (after != before).any(-1) & ~reach[..., sender]
-    if wrong.any():
-        place = tuple(wrong.nonzero()[0].tolist())
-        number = int((after[place] != before[place]).nonzero()[0])
-        values = f"{before[place][number].item()} became {after[place][number].item()}"
-        require(False, f"{what} of robot {sender} crosses a dead edge to {list(place)}: {values}")
 
 
 def shapes(make: Maker) -> None:
@@ -116,18 +78,18 @@ def a_dead_edge_has_no_influence_not_even_nan_and_no_gradient(make: Maker) -> No
     for sender in range(5):
         deaf = ~reach[:, :, sender]
         inputs = feature.clone().requires_grad_()
-        comm(inputs, live, rank).feature[deaf].sum().backward()
-        grad = inputs.grad[:, sender].abs().max().item()
+        (back,) = torch.autograd.grad(comm(inputs, live, rank).feature[deaf].sum(), inputs)
+        grad = back[:, sender].abs().max().item()
         require(grad == 0, f"a gradient of {grad} crosses dead edges to robot {sender}")
         poisoned = feature.clone()
         poisoned[:, sender] = torch.nan
         poisoned.requires_grad_()
         after = comm(poisoned, live, rank).feature
         require_unheard(after, before, reach, sender, "NaN")
-        after[deaf].sum().backward()
+        (back,) = torch.autograd.grad(after[deaf].sum(), poisoned)
         # Who hears the poisoned one hands 0 x NaN back to whom it hears, and no further.
         untouched = ~within(live, 2 * comm.rounds)[:, :, sender]
-        finite = poisoned.grad[untouched].isfinite()
+        finite = back[untouched].isfinite()
         require(finite, f"NaN of robot {sender} crosses a dead edge in the gradient")
 
 

@@ -11,13 +11,14 @@ from torch import Tensor
 
 from marl_clean.channel.base import Channel
 from marl_clean.comm.base import Comm, Talk
+from marl_clean.config.compose import rooms
 from marl_clean.config.schema import instantiate, takes
 from marl_clean.encoder.base import Encoder
 from marl_clean.learning.networks import RobotsNetwork
 from tests.comm.contract import FEATURES, draw
 
 CONF = Path(__file__).parents[2] / "conf" / "channel"
-LEVELS = sorted(path.stem for path in CONF.glob("*.yaml"))
+LEVELS = rooms()["channel"]
 Stack = dict[str, dict[str, Any]]  # levels and what is changed of their yaml
 NEUTRAL: Stack = {
     "perfect": {},

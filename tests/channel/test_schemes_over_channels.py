@@ -1,17 +1,13 @@
 """Every level of conf/comm keeps its contract over every level of conf/channel, step after step."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 from torch import Tensor
 
 from marl_clean.channel.base import Channel
-from marl_clean.channel.budget import Budget
-from marl_clean.channel.delayed import Delayed
-from marl_clean.channel.noisy import Noisy
 from marl_clean.comm.base import Comm
 from marl_clean.comm.commnet import CommNet
+from marl_clean.config.compose import rooms
 from tests.channel.played import (
     LEVELS,
     NEUTRAL,
@@ -23,9 +19,9 @@ from tests.channel.played import (
     play,
     relabelled,
 )
-from tests.comm.contract import CONF, FEATURES, make, within
+from tests.comm.contract import FEATURES, make, within
 
-SCHEMES = sorted(path.stem for path in CONF.glob("*.yaml"))
+SCHEMES = rooms()["comm"]
 STACKS: dict[str, Stack] = {
     **{level: {level: {}} for level in LEVELS if level != "perfect"},  # that is comm's own contract
     "bursts": {"lossy": {"burst_start": 0.3}},
@@ -199,40 +195,3 @@ def test_a_shut_gate_learns_over_every_channel(channel: str) -> None:
     net, given = network(comm, {channel: NEUTRAL[channel]}), frames(4, 8, n_agents=4, share=0.9)
     features(play(net, given)).sum().backward()
     assert comm.shut.grad.isfinite().all() and comm.shut.grad.any()
-
-
-class Spilling(Delayed):
-    """What is under way of each robot is touched by everybody's."""
-
-    def state_after(self, step, messages, edges):
-        state = super().state_after(step, messages, edges)
-        return state + 0 * state[..., : self.width].sum((-1, -2, -3), keepdim=True)
-
-
-class Unpaid(Budget):
-    """Pays for the nearest and writes to all."""
-
-    def address(self, edges, distance_rank, rounds):
-        self.all = edges
-        return super().address(edges, distance_rank, rounds)
-
-    def carry(self, message, edges, round_index, step):
-        return message, self.all
-
-
-class HissingNoise(Noisy):
-    """Is heard where nobody speaks."""
-
-    def carry(self, message, edges, round_index, step):
-        return super().carry(message, edges, round_index, replace(step, gated=False))
-
-
-def test_planted_defects_are_caught() -> None:
-    plan = make("plan")
-    with pytest.raises(AssertionError):
-        spilling = {"delayed": Spilling(1, False, tuple(plan.message_dims))}
-        nothing_crosses_where_no_edge_was_ever_live(plan, spilling)
-    with pytest.raises(AssertionError):
-        nobody_hears_for_free(plan, {"budget": Unpaid(1)})
-    with pytest.raises(AssertionError):
-        silence_is_heard_as_silence({"noisy": HissingNoise(0.5)})

@@ -12,6 +12,7 @@ from marl_clean.comm.plan import Plan
 from marl_clean.comm.tarmac import TarMac
 from marl_clean.testing import ContractBroken, check_comm, comm
 from marl_clean.testing._broken import Clause, verify
+from marl_clean.testing._graphs import within
 from marl_clean.testing._levels import maker
 from tests.comm import equations
 
@@ -75,7 +76,7 @@ class FarOff(CommNet):
     """Hears whom its neighbours hear in the same round."""
 
     def mean(self, hidden, adjacency):
-        return super().mean(hidden, comm.within(adjacency, 2))
+        return super().mean(hidden, within(adjacency, 2))
 
 
 class Cheap(CommNet):

@@ -1,0 +1,46 @@
+"""Features of robots and graphs between them, and what must not cross those."""
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from marl_clean.testing._broken import require
+
+FEATURES = 12
+
+
+def draw(
+    *batch: int, n_agents: int, share: float = 0.5, seed: int = 0
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return features, a graph of so many live edges, and ranks by distance of random places."""
+    generator = torch.Generator().manual_seed(seed)
+    rand = torch.rand(*batch, n_agents, n_agents, generator=generator)
+    live = (rand < share).triu(1)
+    place = torch.rand(*batch, n_agents, 2, generator=generator)
+    rank = torch.cdist(place, place).argsort(-1).argsort(-1)
+    feature = torch.randn(*batch, n_agents, FEATURES, generator=generator, dtype=torch.float64)
+    return feature, live | live.mT, rank
+
+
+def line(length: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Return live edges of robots in a line, each in contact with the next; ranks; hops apart."""
+    place = torch.arange(length)
+    hops = (place - place[:, None]).abs()
+    rank = hops.mul(2).add(place > place[:, None]).argsort(-1).argsort(-1)
+    return hops == 1, rank, hops
+
+
+def within(live: Tensor, rounds: int) -> Bool[Tensor, "..."]:
+    """Tell whether j is i itself or at most so many live edges away."""
+    itself = torch.eye(live.shape[-1], dtype=torch.float64).expand(live.shape)
+    return torch.linalg.matrix_power(itself + live, rounds) > 0
+
+
+def require_unheard(after: Tensor, before: Tensor, reach: Tensor, sender: int, what: str) -> None:
+    """Raise ContractBroken where a robot that `sender` does not reach has another result."""
+    wrong = (after != before).any(-1) & ~reach[..., sender]
+    if wrong.any():
+        place = tuple(wrong.nonzero()[0].tolist())
+        number = int((after[place] != before[place]).nonzero()[0])
+        values = f"{before[place][number].item()} became {after[place][number].item()}"
+        require(False, f"{what} of robot {sender} crosses a dead edge to {list(place)}: {values}")
