@@ -11,9 +11,10 @@ from torchrl.envs import Compose, InitTracker, RewardSum, Transform, Transformed
 from marl_clean import keys
 from marl_clean.channel.base import Channel, Dims
 from marl_clean.comm.base import Comm
+from marl_clean.config.class_source import constant, takes
 from marl_clean.config.compose import checked, plays_houses
 from marl_clean.config.fitting import check_fit
-from marl_clean.config.schema import constant, instantiate, takes
+from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import find_run, load_config
 from marl_clean.env.channel_seed import ChannelSeed
 from marl_clean.env.cleaning import CleaningEnv

@@ -104,6 +104,12 @@ def _ascending(value: list[int]) -> list[int]:
     return value
 
 
+def _pays_as(value: float) -> float:
+    if value not in (-0.2, 0):
+        raise ValueError(f"must be -0.2 or 0, not {value}")
+    return value
+
+
 PositiveInt = Annotated[int, Field(ge=1, lt=2**31)]
 NonNegativeInt = Annotated[int, Field(ge=0, lt=2**31)]
 Worlds = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -117,6 +123,8 @@ OddInt = Annotated[int, Field(ge=1), AfterValidator(_odd)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
+UncleanedAtMost = Annotated[float, Field(ge=0, lt=0.5)]  # a cleaned cell is shown as 0.5 at most
+UnknownPaysAs = Annotated[float, AfterValidator(_pays_as)]
 Scales = Annotated[int, Field(ge=2, le=4)]
 RangeCells = Annotated[int, Field(ge=1, le=1024)]
 LARGEST_SIDE = 4096  # rows or columns of a house in cells, or of its image in pixels

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from marl_clean.config import compose, schema
+from marl_clean.config import class_source, compose
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "marl_clean"
@@ -20,7 +20,7 @@ LEVELS = sorted(set(CONF.glob("*/*.yaml")) - set(PRESETS))
 ROOMS = sorted({path.parent.name for path in LEVELS} - {"env"})
 
 # What code hands to a constructor although yaml could say it.
-HANDED_OVER = {"margin", "house_order", "first_env", "seed", "device"}
+HANDED_OVER = {"house_order", "first_env", "seed", "device"}
 
 # From the bottom to the top: what a module imports lies on a floor below it, or in its own room.
 # What no floor names is on top: the commands, and what Python and PettingZoo users import.
@@ -66,7 +66,7 @@ def name_of(path: Path) -> str:
 def test_a_yaml_belongs_to_the_file_of_its_name(path: Path) -> None:
     section = yaml.safe_load(path.read_text())
     assert section["_target_"].startswith(f"marl_clean.{path.parent.name}.{path.stem}.")
-    assert schema.definition(section["_target_"])
+    assert class_source.definition(section["_target_"])
 
 
 @pytest.mark.parametrize("room", ROOMS)
@@ -79,7 +79,7 @@ def test_a_level_has_a_yaml(room: str) -> None:
 @pytest.mark.parametrize("path", LEVELS, ids=name_of)
 def test_keys_are_the_parameters_of_the_constructor(path: Path) -> None:
     section = yaml.safe_load(path.read_text())
-    accepted = set(schema.parameters(section["_target_"]))
+    accepted = set(class_source.parameters(section["_target_"]))
     assert set(section) - {"_target_"} == accepted - HANDED_OVER
 
 

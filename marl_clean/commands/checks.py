@@ -5,8 +5,9 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from marl_clean.config.class_source import constant
 from marl_clean.config.compose import plays_houses
-from marl_clean.config.schema import constant, instantiate
+from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import find_run, load_config
 from marl_clean.errors import BadInput
 from marl_clean.house.base import check_largest, draw_houses, split_seeds

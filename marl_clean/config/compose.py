@@ -18,13 +18,13 @@ from hydra.initialize import get_gh_backup, restore_gh_from_backup
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from marl_clean.config import schema
+from marl_clean.config import class_source, schema
 from marl_clean.config.config_hash import config_hash, container
+from marl_clean.config.locate import own
 from marl_clean.config.presets import read_preset
 from marl_clean.errors import BadInput
 from marl_clean.settings import Evaluation, Root
 
-PACKAGE = Path(__file__).parents[1]
 EXPERIMENT = "experiment"
 BUDGET = "budget"
 PRESETS = (EXPERIMENT, BUDGET)  # groups that set keys of several rooms, and are none themselves
@@ -34,11 +34,8 @@ WEIGHTS = "weights"  # of the root; not the user's to set
 
 
 def conf_folder() -> Path:
-    """The folder of the yaml files: inside the package (a wheel) or beside it (a checkout)."""
-    for folder in (PACKAGE / "conf", PACKAGE.parent / "conf"):
-        if (folder / "config.yaml").is_file():
-            return folder
-    raise BadInput(f"no conf/config.yaml in {PACKAGE} or {PACKAGE.parent}; install marl-clean anew")
+    """The folder of this package's yaml files."""
+    return own().conf
 
 
 def rooms() -> dict[str, list[str]]:
@@ -58,7 +55,7 @@ def compose_config(overrides: Sequence[str] = ()) -> DictConfig:
 
 def plays_houses(config: DictConfig) -> bool:
     """Whether the config's env is played in houses, or is a task of others that has none."""
-    return schema.takes(config.env._target_, "houses")
+    return class_source.takes(config.env._target_, "houses")
 
 
 def parse_overrides(overrides: Sequence[str], hydra_too: bool = False) -> list[Override]:

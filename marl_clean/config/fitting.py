@@ -4,8 +4,8 @@ from typing import Any
 
 from omegaconf import DictConfig
 
+from marl_clean.config.class_source import constant
 from marl_clean.config.compose import SEVERAL, conf_folder, rooms
-from marl_clean.config.schema import constant
 from marl_clean.errors import BadInput
 from marl_clean.settings import Form
 from marl_clean.storage.safe_yaml import load_yaml

@@ -12,6 +12,7 @@ from typing import Any, get_type_hints
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig
 
+from marl_clean.config.class_source import constant, parameters
 from marl_clean.config.compose import (
     PACKAGE,
     PERFECT,
@@ -24,7 +25,7 @@ from marl_clean.config.compose import (
     rooms,
 )
 from marl_clean.config.config_hash import config_hash
-from marl_clean.config.schema import constant, mismatch, parameters
+from marl_clean.config.schema import mismatch
 from marl_clean.errors import BadInput
 from marl_clean.settings import LaterEvaluation, Root
 from marl_clean.storage.manifest import weights_sha256

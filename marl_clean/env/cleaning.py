@@ -20,15 +20,11 @@ from marl_clean.env.viewer import Scene, draw
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses
 from marl_clean.settings import (
-    Cases,
-    Decay,
     HouseOrder,
     Knowledge,
     Memory,
     NonNegativeInt,
-    ObstaclePay,
     PositiveInt,
-    Probability,
     Sensor,
     Worlds,
 )
@@ -48,7 +44,7 @@ class CleaningEnv(Compiling):
     ## Description
     Each of `num_envs` worlds is a house of free and blocked cells with `n_agents` robots. The
     robots see nothing but the map they write themselves; they clean the cell they stand on.
-    The rules are fixed in `marl_clean.world`; every reading of the paper is a setting here.
+    The rules are fixed in `marl_clean.world`; every reading of the paper is one of `Rules`.
 
     ## Actions
     `("agents", "action")`, int64 `[num_envs, n_agents]`: 0 up (row - 1), 1 right (col + 1),
@@ -80,25 +76,14 @@ class CleaningEnv(Compiling):
 
     Args:
         houses: the houses to play in.
+        rules: the readings of the paper; see `Rules`.
         n_agents: robots in each world.
         num_envs: worlds played at once.
-        memory: whose map a robot reads and writes: shared, private or merged.
-        knowledge: the map at the start: unknown, memorised or stale.
-        sensor: bump, or touch4 (the four neighbours of every robot are known).
         max_steps: steps until truncation; null: 4 R C // n_agents + 50 of each house's own size.
-        stuck_after: steps without a newly cleaned cell until truncation; null: never.
-        decay_steps: C, how long a cell stays clean.
-        decay: formula (falls by 1/C a step) or sentence (by 0.5/C).
-        uncleaned_at_most: cells with a map value up to this pay as uncleaned, in [0, 0.5).
-        unknown_pays_as: v of an unknown cell in the cleaning term: -0.2 or 0.
-        cases: whether the reward's terms add up or exclude each other.
-        obstacles: whether a bump pays the first time or every time.
-        bump_noise: probability that a bump goes unnoticed: nothing is written, nothing paid.
         furniture_moves_per_episode: moves of one piece by one cell, drawn at reset.
         furniture_moves_before_start: with knowledge=stale, moves since the robots memorised.
         compile: compile the pure parts of a step (some 30 s once, several times faster after);
             TorchRL takes this argument from every env and calls `compile()`.
-        margin: cells stored around the house; at least half the view.
         house_order: whether episodes draw their house, or env i always plays house i.
         contact: who is in contact, for private and merged maps: a topology's `contact`.
         first_env: index of the first world: env i of 64 is the only one of `first_env=i`.
@@ -114,25 +99,14 @@ class CleaningEnv(Compiling):
     def __init__(
         self,
         houses: Houses,
+        rules: Rules = Rules(),
         *,
         n_agents: PositiveInt = 2,
         num_envs: Worlds = 128,
-        memory: Memory = Memory.SHARED,
-        knowledge: Knowledge = Knowledge.UNKNOWN,
-        sensor: Sensor = Sensor.BUMP,
         max_steps: PositiveInt | None = None,
-        stuck_after: PositiveInt | None = 100,
-        decay_steps: PositiveInt = 200,
-        decay: Decay = Decay.FORMULA,
-        uncleaned_at_most: float = 0.0,
-        unknown_pays_as: float = -0.2,
-        cases: Cases = Cases.ADD,
-        obstacles: ObstaclePay = ObstaclePay.FIRST,
-        bump_noise: Probability = 0.0,
         furniture_moves_per_episode: NonNegativeInt = 0,
         furniture_moves_before_start: NonNegativeInt = 0,
         compile: bool = False,
-        margin: int = 7,
         house_order: HouseOrder = HouseOrder.RANDOM,
         contact: turn.Contact | None = None,
         first_env: int = 0,
@@ -140,26 +114,15 @@ class CleaningEnv(Compiling):
         device: torch.device | str = "cpu",
     ) -> None:
         super().__init__(device=device, batch_size=[num_envs])
-        self.rules = Rules(
-            memory=memory,
-            knowledge=knowledge,
-            sensor=sensor,
-            decay_steps=decay_steps,
-            decay=decay,
-            uncleaned_at_most=uncleaned_at_most,
-            unknown_pays_as=unknown_pays_as,
-            cases=cases,
-            obstacles=obstacles,
-            bump_noise=bump_noise,
-            stuck_after=stuck_after,
-            margin=margin,
-        )
-        if self.rules.memory is not Memory.SHARED and contact is None:
-            raise BadInput(f"env.memory={memory}: needs contact=, a topology's contact function")
-        if furniture_moves_before_start and knowledge is not Knowledge.STALE:
+        self.rules = rules
+        if rules.memory is not Memory.SHARED and contact is None:
+            raise BadInput(
+                f"env.memory={rules.memory}: needs contact=, a topology's contact function"
+            )
+        if furniture_moves_before_start and rules.knowledge is not Knowledge.STALE:
             raise BadInput(
                 f"env.furniture_moves_before_start={furniture_moves_before_start}: needs"
-                f" env.knowledge=stale, not {knowledge}; nobody remembers another house"
+                f" env.knowledge=stale, not {rules.knowledge}; nobody remembers another house"
             )
         self.n_agents = n_agents
         self.num_envs = num_envs
@@ -169,7 +132,7 @@ class CleaningEnv(Compiling):
         self.furniture = FurnitureMoves(furniture_moves_per_episode, furniture_moves_before_start)
         self.contact = contact
         self._started = False
-        self._houses = house_tensors(houses, n_agents, max_steps, margin, self.device)
+        self._houses = house_tensors(houses, n_agents, max_steps, rules.margin, self.device)
         self.moves = torch.tensor(MOVES, device=self.device)
         self.env_index = torch.arange(first_env, first_env + num_envs, device=self.device)
         specs = make_specs(num_envs, n_agents, largest_side=max(houses.free.shape[1:]))
@@ -184,7 +147,7 @@ class CleaningEnv(Compiling):
             self.house_order,
             self.num_open,
             self.furniture,
-            self.rules,
+            rules,
         )
 
     def open_houses(self, count: int) -> None:

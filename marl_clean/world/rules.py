@@ -1,11 +1,24 @@
 """The readings of the paper that are fixed for one environment."""
 
 import math
-from dataclasses import dataclass, field
+import typing
+from dataclasses import dataclass, field, fields
 from fractions import Fraction
 
+from marl_clean.config.schema import mismatch
 from marl_clean.errors import BadInput
-from marl_clean.settings import Cases, Decay, Knowledge, Memory, ObstaclePay, Sensor
+from marl_clean.settings import (
+    Cases,
+    Decay,
+    Knowledge,
+    Memory,
+    ObstaclePay,
+    PositiveInt,
+    Probability,
+    Sensor,
+    UncleanedAtMost,
+    UnknownPaysAs,
+)
 
 UNKNOWN_VALUE = -0.2
 BLOCKED_VALUE = -1.0
@@ -13,15 +26,20 @@ ROBOT_VALUE = 1.0
 CLEANED_VALUE = 0.5
 DIRTY_VALUE = 0.0
 
+Margin = PositiveInt  # a name of its own, no setting's: who builds the env hands it over
+
 
 @dataclass(frozen=True)
 class Rules:
     """Every open point of the paper with the reading taken (paper §3.2 and §3.3).
 
+    A config gives them in its section `env`, one key each, `margin` apart.
+
     Attributes:
-        memory: whose map a robot reads and writes.
-        knowledge: what the map holds at step 0.
-        sensor: how walls become known.
+        memory: whose map a robot reads and writes: shared, private or merged.
+        knowledge: what the map holds at step 0: unknown, memorised or stale.
+        sensor: how walls become known: bump, or touch4 (the four neighbours of every robot are
+            known).
         decay_steps: C, the steps after which a cell counts as dirty again.
         decay: whether a cleaned cell falls by 1/C or by 0.5/C a step.
         uncleaned_at_most: cells with a value up to this count as uncleaned, in [0, 0.5).
@@ -30,7 +48,7 @@ class Rules:
         obstacles: whether a bump pays the first time or every time.
         stuck_after: steps without a newly cleaned cell that end an episode; None: never.
         bump_noise: probability that a bump goes unnoticed: nothing is written, nothing paid.
-        margin: cells around the house in every stored matrix, at least the ring's 1.
+        margin: cells around the house in every stored matrix: the ring's 1 and half the view.
         decay_a_step: how much the shown value of a cleaned cell falls a step.
         dirty_after: the age in steps from which a cell is dirty, ceil(0.5 / decay).
         uncleaned_after: the age from which entering a cell pays as cleaning: the smallest whose
@@ -43,30 +61,24 @@ class Rules:
     memory: Memory = Memory.SHARED
     knowledge: Knowledge = Knowledge.UNKNOWN
     sensor: Sensor = Sensor.BUMP
-    decay_steps: int = 200
+    decay_steps: PositiveInt = 200
     decay: Decay = Decay.FORMULA
-    uncleaned_at_most: float = 0.0
-    unknown_pays_as: float = UNKNOWN_VALUE
+    uncleaned_at_most: UncleanedAtMost = 0.0
+    unknown_pays_as: UnknownPaysAs = UNKNOWN_VALUE
     cases: Cases = Cases.ADD
     obstacles: ObstaclePay = ObstaclePay.FIRST
-    stuck_after: int | None = 100
-    bump_noise: float = 0.0
-    margin: int = 7
+    stuck_after: PositiveInt | None = 100
+    bump_noise: Probability = 0.0
+    margin: Margin = 7
     decay_a_step: float = field(init=False)
     dirty_after: int = field(init=False)
     uncleaned_after: int = field(init=False)
 
     def __post_init__(self) -> None:
-        if not 0 <= self.uncleaned_at_most < CLEANED_VALUE:
-            raise BadInput(f"env.uncleaned_at_most={self.uncleaned_at_most}: must be in [0, 0.5)")
-        if self.unknown_pays_as not in (UNKNOWN_VALUE, 0.0):
-            raise BadInput(f"env.unknown_pays_as={self.unknown_pays_as}: must be -0.2 or 0")
-        if self.decay_steps < 1:
-            raise BadInput(f"env.decay_steps={self.decay_steps}: must be at least 1")
-        if not 0 <= self.bump_noise <= 1:
-            raise BadInput(f"env.bump_noise={self.bump_noise}: must be in [0, 1]")
-        if self.margin < 1:
-            raise BadInput(f"margin={self.margin}: must be at least 1, the ring around the house")
+        types = typing.get_type_hints(Rules, include_extras=True)
+        for name in (rule.name for rule in fields(self) if rule.init):
+            if reason := mismatch(getattr(self, name), types[name]):
+                raise BadInput(f"env.{name}: {reason}")
 
         # Ages are decided on fractions, once: floats would round at the thresholds.
         half = Fraction(1, 2)

@@ -13,7 +13,8 @@ from omegaconf import OmegaConf
 
 from marl_clean.build import make_comm
 from marl_clean.channel.base import Channel
-from marl_clean.config.schema import instantiate, takes
+from marl_clean.config.class_source import takes
+from marl_clean.config.schema import instantiate
 from marl_clean.learning.networks import QNetwork
 from tests.comm.contract import DILUTED, LEVELS, VARIANTS, draw, make
 

@@ -10,7 +10,8 @@ from marl_clean.agent.iql import Iql
 from marl_clean.build import make_comm as build_comm
 from marl_clean.comm.base import Comm
 from marl_clean.config import compose
-from marl_clean.config.schema import constant, instantiate
+from marl_clean.config.class_source import constant
+from marl_clean.config.schema import instantiate
 from marl_clean.encoder.cnn import Cnn
 from marl_clean.learning.agent import Agent
 

@@ -11,7 +11,7 @@ from torch.distributions import Categorical
 from marl_clean import keys
 from marl_clean.agent.vdn import Vdn
 from marl_clean.config import compose
-from marl_clean.config.schema import constant
+from marl_clean.config.class_source import constant
 from marl_clean.learning.deep_q import DeepQ
 from marl_clean.learning.ppo import Ppo
 from tests.agent.parts import LEARNERS, STATE_SHAPE, make_learner, transitions

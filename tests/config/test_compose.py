@@ -10,7 +10,7 @@ from hydra import initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
 from marl_clean import settings
-from marl_clean.config import compose, schema
+from marl_clean.config import class_source, compose, schema
 from marl_clean.config.compose import compose_config
 from marl_clean.config.config_hash import config_hash
 from marl_clean.config.stored import check_same_run, compose_for_policy
@@ -26,7 +26,7 @@ def keys_and_types(config: DictConfig) -> dict[str, typing.Any]:
     for room in compose.SEVERAL:
         sections |= {f"{room}.{name}": section for name, section in config[room].items()}
     for name, section in sections.items():
-        accepted = schema.parameters(section["_target_"])
+        accepted = class_source.parameters(section["_target_"])
         found |= {f"{name}.{key}": accepted[key].annotation for key in section if key in accepted}
     return found
 

@@ -13,6 +13,7 @@ from marl_clean.errors import BadInput
 from marl_clean.house.base import draw_houses
 from marl_clean.house.rooms import Rooms
 from marl_clean.settings import HouseOrder, Memory, Sensor
+from marl_clean.world.rules import Rules
 from tests.world.play import houses_of
 
 HOUSES = draw_houses(Rooms([6, 9], [6, 9]), range(40), n_agents=3)
@@ -79,10 +80,11 @@ def test_set_seed_starts_over() -> None:
 
 def test_env_i_of_many_is_env_i_alone() -> None:
     actions = actions_for(300, 8)
-    together = CleaningEnv(HOUSES, n_agents=3, num_envs=8, stuck_after=15, seed=2)
+    rules = Rules(stuck_after=15)
+    together = CleaningEnv(HOUSES, rules, n_agents=3, num_envs=8, seed=2)
     steps = torch.stack(play(together, actions))
     for index in (0, 5, 7):
-        alone = CleaningEnv(HOUSES, n_agents=3, num_envs=1, stuck_after=15, seed=2, first_env=index)
+        alone = CleaningEnv(HOUSES, rules, n_agents=3, num_envs=1, seed=2, first_env=index)
         alone_steps = torch.stack(play(alone, actions[:, index : index + 1]))
         assert (alone_steps[:, 0] == steps[:, index]).all()
 
@@ -173,9 +175,7 @@ def test_render_gives_frames_of_one_size() -> None:
 @pytest.mark.parametrize(
     ("changes", "word"),
     [
-        ({"memory": Memory.PRIVATE}, "contact"),
-        ({"uncleaned_at_most": 0.5}, "uncleaned_at_most"),
-        ({"unknown_pays_as": 0.3}, "unknown_pays_as"),
+        ({"rules": Rules(memory=Memory.PRIVATE)}, "contact"),
         ({"n_agents": 99}, "n_agents"),
         ({"furniture_moves_before_start": 2}, "knowledge=stale"),
     ],
@@ -187,7 +187,7 @@ def test_bad_settings_are_named(changes: dict, word: str) -> None:
 
 def test_touch_knows_the_four_neighbours_at_once() -> None:
     houses = houses_of([[True, True], [False, True]], None, [(0, 0)])
-    env = CleaningEnv(houses, n_agents=1, num_envs=1, sensor=Sensor.TOUCH4)
+    env = CleaningEnv(houses, Rules(sensor=Sensor.TOUCH4), n_agents=1, num_envs=1)
     env.reset()
     margin = env.rules.margin
     record = env.state.record[0, 0, margin - 1 : margin + 2, margin - 1 : margin + 2]

@@ -1,6 +1,7 @@
 """The measures equal those of the plain world, and say what they should of episodes by hand."""
 
 import math
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from marl_clean.evaluation.metrics import Recorder
 from marl_clean.house.base import Houses
 from marl_clean.keys import ACTION, ADJACENCY, MESSAGE_BITS, MESSAGE_EDGES
 from marl_clean.settings import HouseOrder, Memory
+from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import in_view
 from tests import reference
 
@@ -40,8 +42,10 @@ def houses_of(*pictures: str, starts: list[list[tuple[int, int]]] | None = None)
 
 
 def env_of(houses: Houses, **settings) -> CleaningEnv:
-    defaults = {"num_envs": len(houses), "house_order": HouseOrder.FIXED, "stuck_after": None}
-    return CleaningEnv(houses, **{**defaults, **settings})
+    names = {field.name for field in fields(Rules)}
+    rules = {name: settings.pop(name) for name in names & settings.keys()}
+    defaults = {"num_envs": len(houses), "house_order": HouseOrder.FIXED}
+    return CleaningEnv(houses, Rules(**{"stuck_after": None, **rules}), **{**defaults, **settings})
 
 
 def played(env: CleaningEnv, actions, certify: bool = False, bits: int = 0) -> Recorder:

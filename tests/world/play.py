@@ -18,6 +18,7 @@ from marl_clean.topology.radius import Radius
 from marl_clean.topology.sight import Sight
 from marl_clean.topology.view import View
 from marl_clean.world.dynamics import touch_
+from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import MEMORISED_BLOCKED, MEMORISED_FREE, merge_maps
 from tests.reference import Settings
 from tests.world.strategies import Case
@@ -64,14 +65,10 @@ def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
     settings = cases[0].settings
     side = 2 * max(max(len(case.free), len(case.free[0])) for case in cases) + 3
     topology = topology_of(settings)
-    base = CleaningEnv(
-        stack(cases),
-        n_agents=len(cases[0].starts),
-        num_envs=len(cases),
+    rules = Rules(
         memory=settings.memory,
         knowledge=settings.knowledge,
         sensor=settings.sensor,
-        max_steps=settings.max_steps,
         stuck_after=settings.stuck_after,
         decay_steps=settings.decay_steps,
         decay=settings.decay,
@@ -80,8 +77,15 @@ def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
         cases=settings.cases,
         obstacles=settings.obstacles,
         bump_noise=settings.bump_noise,
-        furniture_moves_per_episode=1,
         margin=max(side // 2, settings.view_size // 2),
+    )
+    base = CleaningEnv(
+        stack(cases),
+        rules,
+        n_agents=len(cases[0].starts),
+        num_envs=len(cases),
+        max_steps=settings.max_steps,
+        furniture_moves_per_episode=1,
         house_order=HouseOrder.FIXED,
         contact=topology.contact,
     )

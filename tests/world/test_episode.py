@@ -14,6 +14,7 @@ from marl_clean.house.rooms import Rooms
 from marl_clean.settings import HouseOrder, Knowledge
 from marl_clean.world.distance import is_connected
 from marl_clean.world.random import Purpose, random_below, random_bits, seed_tensor
+from marl_clean.world.rules import Rules
 from tests.world.play import houses_of
 
 ENOUGH = 1e-3  # a fair draw falls below this p once in a thousand; the draws are fixed
@@ -85,8 +86,8 @@ def test_stale_robots_remember_the_house_before_the_furniture_moved() -> None:
     houses = draw_houses(Drawn("apartment"), [0], n_agents=2)
     env = CleaningEnv(
         houses,
+        Rules(knowledge=Knowledge.STALE),
         num_envs=40,
-        knowledge=Knowledge.STALE,
         furniture_moves_before_start=12,
         house_order=HouseOrder.FIXED,
     )
@@ -118,7 +119,7 @@ def test_starts_do_not_depend_on_what_is_stored_around_a_house() -> None:
     }
     envs = [
         CleaningEnv(small, num_envs=3, house_order=HouseOrder.FIXED),
-        CleaningEnv(small, num_envs=3, house_order=HouseOrder.FIXED, margin=2),
+        CleaningEnv(small, Rules(margin=2), num_envs=3, house_order=HouseOrder.FIXED),
         CleaningEnv(replace(padded, **wider), num_envs=3, house_order=HouseOrder.FIXED),
     ]
     for env in envs[1:]:
@@ -131,8 +132,8 @@ def test_stale_furniture_never_stands_on_a_plans_own_starts() -> None:
     free = [[piece == 0 for piece in row] for row in furniture]
     env = CleaningEnv(
         houses_of(free, furniture, [(2, 1), (1, 2)]),
+        Rules(knowledge=Knowledge.STALE),
         num_envs=64,
-        knowledge=Knowledge.STALE,
         furniture_moves_before_start=6,
     )
     margin, position = env.rules.margin, env.state.position + env.rules.margin

@@ -9,6 +9,7 @@ from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.errors import BadInput
 from marl_clean.world.noise import believed_position, unnoticed_bumps
 from marl_clean.world.random import Purpose, random_bits
+from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import is_known_blocked
 from tests.world.play import houses_of
 from tests.world.strategies import BUMP, missed_bumps, plain_bits
@@ -18,7 +19,7 @@ UP = 0
 
 def lane(num_envs: int = 1, **changes) -> CleaningEnv:
     houses = houses_of([[True] * 5], None, [(0, 2)])
-    env = CleaningEnv(houses, n_agents=1, num_envs=num_envs, **changes)
+    env = CleaningEnv(houses, Rules(**changes), n_agents=1, num_envs=num_envs)
     env.reset()
     return env
 

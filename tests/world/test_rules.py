@@ -1,0 +1,55 @@
+"""The rules refuse what no world can have, by the types that the config is checked against."""
+
+import pytest
+
+from marl_clean.config.class_source import parameters
+from marl_clean.config.compose import compose_config
+from marl_clean.config.schema import instantiate
+from marl_clean.errors import BadInput
+from marl_clean.settings import Memory
+from marl_clean.world.rules import Rules
+
+WRONG = {
+    "uncleaned_at_most": 0.5,
+    "unknown_pays_as": 0.3,
+    "decay_steps": 0,
+    "bump_noise": 1.5,
+    "stuck_after": 0,
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_rule_out_of_range_is_refused_in_python_and_in_a_config(name: str) -> None:
+    with pytest.raises(BadInput, match=f"^env.{name}: must be "):
+        Rules(**{name: WRONG[name]})
+    with pytest.raises(BadInput, match=f"^env.{name}: must be "):
+        compose_config([f"env.{name}={WRONG[name]}"])
+
+
+def test_the_margin_is_handed_over_and_no_setting() -> None:
+    with pytest.raises(BadInput, match="^env.margin: must be "):
+        Rules(margin=0)
+    with pytest.raises(BadInput, match="^env.margin: no such key"):
+        compose_config(["env.margin=3"])
+
+
+def test_a_config_gives_the_rules_one_key_each() -> None:
+    section = compose_config(["env.memory=merged", "env.decay_steps=9"]).env
+    assert "rules" not in parameters(section["_target_"])
+    section["_target_"] = "marl_clean.env.cleaning.CleaningEnv"
+    keys = parameters(section["_target_"])
+    rules = Rules(**{name: section[name] for name in ("decay_steps", "bump_noise")})
+    assert keys["memory"].annotation is Memory and not keys["memory"].required
+    assert rules.decay_steps == 9
+
+
+def test_instantiate_gathers_keys_and_parts_into_the_record() -> None:
+    from marl_clean.house.base import draw_houses
+
+    cfg = compose_config(["env.memory=merged", "env.num_envs=3", "house=open"])
+    houses = draw_houses(instantiate(cfg.house), [0], 2)
+    env = instantiate(
+        cfg.env, houses=houses, margin=4, stuck_after=None, contact=lambda state, rules: None
+    )
+    assert env.rules == Rules(memory=Memory.MERGED, margin=4, stuck_after=None)
+    assert env.num_envs == 3
