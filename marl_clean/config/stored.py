@@ -14,7 +14,6 @@ from omegaconf import DictConfig
 
 from marl_clean.config.class_source import constant, parameters
 from marl_clean.config.compose import (
-    PACKAGE,
     PERFECT,
     PRESETS,
     apply,
@@ -25,6 +24,7 @@ from marl_clean.config.compose import (
     rooms,
 )
 from marl_clean.config.config_hash import config_hash
+from marl_clean.config.locate import own
 from marl_clean.config.schema import mismatch
 from marl_clean.errors import BadInput
 from marl_clean.settings import LaterEvaluation, Root
@@ -114,7 +114,8 @@ def _check_fits(
 
 def shipped_runs() -> dict[str, Path]:
     """The runs that ship with the package by name: in it (a wheel) or beside it (a checkout)."""
-    for folder in (PACKAGE / WEIGHTS, PACKAGE.parent / WEIGHTS):
+    package = own().folder
+    for folder in (package / WEIGHTS, package.parent / WEIGHTS):
         if configs := sorted(folder.glob(f"*/{CONFIG}")):
             return {path.parent.name: path.parent for path in configs}
     return {}
