@@ -1,12 +1,9 @@
 """Bumps that nobody notices, and robots that mistake their place: how often, and what follows."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 
 from marl_clean.env.cleaning import CleaningEnv
-from marl_clean.errors import BadInput
 from marl_clean.world.noise import believed_position, unnoticed_bumps
 from marl_clean.world.random import Purpose, random_bits
 from marl_clean.world.rules import Rules
@@ -73,8 +70,3 @@ def test_nobody_thinks_that_it_is_outside_its_house() -> None:
 def test_without_noise_nothing_is_drawn() -> None:
     env = lane(num_envs=50)
     assert torch.equal(believed_position(env.state, env.env_index, 0, 0.0), env.state.position)
-
-
-def test_a_probability_is_one() -> None:
-    with pytest.raises(BadInput, match=r"env\.bump_noise=1\.5"):
-        replace(lane().rules, bump_noise=1.5)
