@@ -13,15 +13,24 @@ from marl_clean.config.compose import PRESETS, SEVERAL, compose_config, conf_fol
 ROOMS = "<!-- table of rooms -->"
 SETTINGS = "<!-- tables of settings -->"
 PRESET_LIST = "<!-- table of presets -->"
+INTERVAL = re.compile(r" \[([+-]?[\d.]+), ([+-]?[\d.]+)\]")
+PERCENT = re.compile(r"(\d) %")
 KEY = re.compile(r"\s*(?:- )?(\w+):[^#]*#\s*(.*)")
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Fill in the tables where a page has their marks."""
+    """Fill in the tables where a page has their marks; in all tables keep a figure on one line."""
     for mark, table in ((ROOMS, rooms_table), (SETTINGS, settings), (PRESET_LIST, presets_table)):
         if mark in markdown:
             markdown = markdown.replace(mark, "\n".join(table()))
-    return markdown
+    return "\n".join(map(unbroken, markdown.split("\n")))
+
+
+def unbroken(line: str) -> str:
+    """A line of a table whose intervals and percentages do not break."""
+    if not line.startswith("|"):
+        return line
+    return PERCENT.sub(r"\1&nbsp;%", INTERVAL.sub(r"&nbsp;[\1,&nbsp;\2]", line))
 
 
 def rooms_table() -> Iterator[str]:
@@ -29,8 +38,9 @@ def rooms_table() -> Iterator[str]:
     asks = comments(conf_folder() / "config.yaml")
     yield "| room | levels | decides |"
     yield "|---|---|---|"
-    for room, levels in rooms().items():
-        yield f"| `{room}` | {' '.join(f'`{level}`' for level in levels)} | {asks.get(room, '')} |"
+    for room in sorted(rooms(), key=list(asks).index):
+        levels = rooms()[room]
+        yield f"| `{room}` | {' '.join(f'`{level}`' for level in levels)} | {asks[room]} |"
 
 
 def presets_table() -> Iterator[str]:
