@@ -1,15 +1,23 @@
 """`marl-clean evaluate`: any policy on any houses, into evaluation.json and a table."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from omegaconf import DictConfig
 from rich.console import Console
 
 from marl_clean import build
+from marl_clean.commands._plan_lines import say_evaluation
+from marl_clean.commands._progress import EvaluationProgress
 from marl_clean.config.stored import find_run
 from marl_clean.evaluation.causal import intervene, make_causal_tables
-from marl_clean.evaluation.evaluator import measure_beside_planners, measure_planner
+from marl_clean.evaluation.evaluator import (
+    YARDSTICKS,
+    OnProgress,
+    measure_beside_planners,
+    measure_planner,
+)
 from marl_clean.evaluation.interventions import talking
 from marl_clean.evaluation.records import Entry, write_entries
 from marl_clean.evaluation.table import make_table, output
@@ -25,24 +33,54 @@ def main(
 
     With `interventions` its messages are changed too, one way after the other.
 
-    Writes the entries to `out`, the policy asked for first, and prints them as a table.
-    Raises BadInput where the checkpoint's weights cannot be used.
+    Writes the entries to `out` as soon as each is there, the policy asked for first, and prints
+    them as a table. Raises BadInput where the checkpoint's weights cannot be used.
     """
-    if cfg.checkpoint is None:
-        entries = [measure_planner(cfg)]
-    else:
-        policy = build.load_policy(find_run(cfg.checkpoint), cfg.channel).to(cfg.device)
-        if interventions:
-            talking(policy, cfg.name)
-        entries = measure_beside_planners(cfg, policy, cfg.name)
-        if interventions:
-            own, *planners = entries
-            changed = intervene(cfg, policy, cfg.name, own, interventions)
-            entries = [*changed, *planners]
-    write_entries(out, entries)
+    say_evaluation(cfg)
+    alone = cfg.checkpoint is None
+    with EvaluationProgress(1 if alone else 1 + len(interventions) + len(YARDSTICKS)) as progress:
+        entries = measured(cfg, interventions, progress.show, partial(write_entries, out))
     console = console or output()
     console.print(make_table(entries))
-    for table in make_causal_tables(changed) if interventions else ():
-        console.print(table)
+    if interventions:
+        changed = [entry for entry in entries if "listening" in entry or "change" in entry]
+        for table in make_causal_tables(changed):
+            console.print(table)
     console.print(f"written to {out}", soft_wrap=True)
+    return entries
+
+
+def measured(
+    cfg: DictConfig,
+    interventions: Sequence[str] = (),
+    on_progress: OnProgress | None = None,
+    keep: Callable[[list[Entry]], object] | None = None,
+) -> list[Entry]:
+    """Return the entries of `cfg.checkpoint`'s policy and the planners, or of `cfg.planner`.
+
+    `keep` is called with those that are there, whenever there is one more.
+    Raises BadInput where the checkpoint's weights cannot be used.
+    """
+    entries: list[Entry] = []
+
+    def add(entry: Entry) -> None:
+        entries.append(entry)
+        if keep is not None:
+            keep(entries)
+
+    if cfg.checkpoint is None:
+        add(measure_planner(cfg, on_progress))
+        return entries
+    policy = build.load_policy(find_run(cfg.checkpoint), cfg.channel).to(cfg.device)
+    if interventions:
+        talking(policy, cfg.name)
+    beside = measure_beside_planners(cfg, policy, cfg.name, on_progress)
+    own = next(beside)
+    add(own)
+    if interventions:
+        entries.clear()  # the policy's own entry comes again, with how well it listens
+        for entry in intervene(cfg, policy, cfg.name, own, interventions, on_progress):
+            add(entry)
+    for entry in beside:
+        add(entry)
     return entries

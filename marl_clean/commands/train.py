@@ -9,6 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from marl_clean import build
+from marl_clean.commands._plan_lines import say_plans
 from marl_clean.config.compose import compose_config, plays_houses
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import CONFIG, find_run, load_config
@@ -39,6 +40,7 @@ def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[
         SystemExit: 143 or 130 after a signal, when the state is saved.
     """
     console = console or output()
+    say_plans(cfg, cfg.evaluation.plans)
     outcome = train(cfg, folder)
     if outcome.was_finished:
         console.print(f"{folder} is finished: {outcome.frames:,} frames", soft_wrap=True)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from omegaconf import DictConfig
 
+from marl_clean.commands._plan_lines import say_plans
 from marl_clean.env.viewer import draw_text
 from marl_clean.report.episode import first_held_out, policy_of, scenes
 
@@ -23,6 +24,7 @@ def main(
 
     Into a file or a pipe goes the last frame alone, as plain text and without delay.
     """
+    say_plans(cfg)
     out = sys.stdout
     moments = scenes(first_held_out(cfg), policy_of(cfg))
     if not out.isatty():

@@ -2,6 +2,8 @@
 
 import numpy as np
 import torch
+from jaxtyping import Int
+from torch import Tensor
 
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses
@@ -15,7 +17,7 @@ def house_tensors(
 ) -> HouseTensors:
     """Pad the houses by `margin` blocked cells and list their free cells.
 
-    `max_steps` null: 4 R C // n_agents + 50 of each house's own R and C.
+    `max_steps` null: see `step_limits`, of each house's own R and C.
 
     Raises:
         BadInput: a house has no more free cells than there are robots.
@@ -33,7 +35,6 @@ def house_tensors(
     house, row, col = free.nonzero(as_tuple=True)
     place = flat.cumsum(1)[house, row * free.shape[2] + col] - 1
     labels[house, place] = (row - margin) * LARGEST_SIDE + col - margin
-    limit = 4 * rows * cols // n_agents + 50
     return HouseTensors(
         blocked=~free.to(device),
         piece=pad_house(torch.from_numpy(houses.furniture.astype(np.int16)), margin, 0).to(device),
@@ -42,12 +43,20 @@ def house_tensors(
         cols=cols.to(device),
         free_labels=labels.to(device),
         num_free=flat.sum(1).to(device),
-        max_steps=(limit if max_steps is None else torch.full_like(limit, max_steps)).to(device),
+        max_steps=step_limits(rows, cols, n_agents, max_steps).to(device),
         starts=_given_starts(houses, n_agents).to(device),
     )
 
 
-def _given_starts(houses: Houses, n_agents: int) -> torch.Tensor:
+def step_limits(
+    rows: Int[Tensor, " house"], cols: Int[Tensor, " house"], n_agents: int, max_steps: int | None
+) -> Int[Tensor, " house"]:
+    """Steps after which an episode is truncated: `max_steps`, or null: 4 R C // n_agents + 50."""
+    limits = 4 * rows * cols // n_agents + 50
+    return limits if max_steps is None else torch.full_like(limits, max_steps)
+
+
+def _given_starts(houses: Houses, n_agents: int) -> Tensor:
     """Return [house, agent, 2]: the plan's first starts, -1 for those to be drawn."""
     starts = torch.full((len(houses.free), n_agents, 2), -1)
     if houses.starts is not None:

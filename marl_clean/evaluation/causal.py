@@ -1,6 +1,6 @@
 """Do messages matter? One checkpoint, its messages untouched and changed, on the same houses."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -8,7 +8,7 @@ from omegaconf import DictConfig
 from rich import box
 from rich.table import Table
 
-from marl_clean.evaluation.evaluator import as_ever, measure
+from marl_clean.evaluation.evaluator import OnProgress, as_ever, measure
 from marl_clean.evaluation.interventions import INTERVENTIONS, intervened, talking
 from marl_clean.evaluation.listening import listening
 from marl_clean.evaluation.paired import Row, differences, make_paired_table
@@ -17,10 +17,16 @@ from marl_clean.evaluation.statistics import paired_difference
 
 
 def intervene(
-    cfg: DictConfig, policy: Any, name: str, untouched: Entry, interventions: Sequence[str]
-) -> list[Entry]:
-    """Return the untouched entry, told how well is listened, and one for each intervention.
+    cfg: DictConfig,
+    policy: Any,
+    name: str,
+    untouched: Entry,
+    interventions: Sequence[str],
+    on_progress: OnProgress | None = None,
+) -> Iterator[Entry]:
+    """Yield the untouched entry with how well is listened, and one for each intervention.
 
+    Each is measured when it is asked for.
     These have `change`: for every measure the intervened mean minus the untouched one, with a
     paired interval over houses. Houses, starts and random actions are the same.
     Raises BadInput where the robots say nothing.
@@ -28,13 +34,19 @@ def intervene(
     speaking = talking(policy, name)
     epsilon = cfg.evaluation.epsilon
     count = len(untouched["houses"])
-    entries = [{**untouched, "listening": listening(cfg, speaking, count, epsilon)}]
+    yield {**untouched, "listening": listening(cfg, speaking, count, epsilon)}
     for intervention in interventions:
         changed = intervened(speaking, INTERVENTIONS[intervention])
         label = f"{name} | {intervention}"
-        entry = measure(cfg, partial(as_ever, changed), label, epsilon=epsilon, seeded=True)
-        entries.append({**entry, "change": change(entry, untouched)})
-    return entries
+        entry = measure(
+            cfg,
+            partial(as_ever, changed),
+            label,
+            epsilon=epsilon,
+            seeded=True,
+            on_progress=on_progress,
+        )
+        yield {**entry, "change": change(entry, untouched)}
 
 
 def change(entry: Entry, untouched: Entry) -> dict[str, Any]:

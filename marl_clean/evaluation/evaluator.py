@@ -4,7 +4,8 @@ Nothing here draws from a global generator, so measuring in the middle of a trai
 not change what the run learns.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 
 import torch
 from jaxtyping import Bool, Int
@@ -32,6 +33,7 @@ from marl_clean.settings import HouseOrder
 from marl_clean.world.random import Purpose, random_below, random_bits, words_of_robots
 
 PolicyFor = Callable[[TransformedEnv], nn.Module]  # a planner is bound to its env, a network is not
+OnProgress = Callable[[str, float], object]  # a policy's name, and the share of it that is measured
 
 START_SEEDS = {"validation": 2**31 + 1, "test": 2**31 + 2}
 """Of the starts in held-out houses: above every run's own seed, another for each split, so that
@@ -54,6 +56,7 @@ def evaluate(
     certify: bool = False,
     optimum: bool = False,
     seeded: bool = False,
+    on_share: Callable[[float], object] | None = None,
 ) -> list[Record]:
     """Play the first `count` houses of a split once each; a loaded plan is started as often.
 
@@ -61,6 +64,7 @@ def evaluate(
     `epsilon` is the share of random actions, drawn for each robot. With `optimum` the proven
     least T_100 is looked for first, which takes up to a minute a house, once in a process.
     `seeded`: frames hold draws for channels, whether or not the config's own channel draws.
+    `on_share` is called after each step with the share of the whole that is played.
     """
     houses = build.held_out_houses(cfg, house_set, count)
     cells = houses.free.shape[1] * houses.free.shape[2]
@@ -69,11 +73,19 @@ def evaluate(
     for first in range(0, count, at_once):
         num_envs = min(at_once, count - first)
         env = held_out_env(cfg, houses, house_set, num_envs, first, seeded)
-        played = play(env, policy_for(env), epsilon, certify, optimum)
+        watch = None if on_share is None else _of_chunk(on_share, first, num_envs, count)
+        played = play(env, policy_for(env), epsilon, certify, optimum, watch)
         for index, record in enumerate(played, start=first):
             source = houses.sources[index % len(houses)]
             records.append({source_key(source): source, **record})
     return records
+
+
+def _of_chunk(
+    on_share: Callable[[float], object], first: int, num_envs: int, count: int
+) -> Callable[[float], object]:
+    """Tell of the share of some houses as a share of all."""
+    return lambda share: on_share((first + share * num_envs) / count)
 
 
 def held_out_env(
@@ -127,6 +139,7 @@ def measure(
     *,
     epsilon: float = 0.0,
     seeded: bool = False,
+    on_progress: OnProgress | None = None,
 ) -> Entry:
     """One entry of evaluation.json: a policy on the houses that `cfg.evaluation` asks for."""
     section = cfg.evaluation
@@ -139,13 +152,14 @@ def measure(
         certify=section.certify,
         optimum=section.get("optimum", False),
         seeded=seeded,
+        on_share=None if on_progress is None else partial(on_progress, name),
     )
     generated = instantiate(cfg.house).generated
     house_set = section.house_set if generated else str(records[0]["path"])
     return make_entry(name, house_set, config_hash(cfg), epsilon, cfg.env.n_agents, records)
 
 
-def measure_planner(cfg: DictConfig) -> Entry:
+def measure_planner(cfg: DictConfig, on_progress: OnProgress | None = None) -> Entry:
     """The entry of `cfg.planner`, under the name it gives itself; planners do not explore.
 
     Raises BadInput where there are no houses to plan in.
@@ -153,28 +167,36 @@ def measure_planner(cfg: DictConfig) -> Entry:
     if not plays_houses(cfg):
         raise BadInput("checkpoint=null: planners need houses, which env has none of; give a run")
     name = instantiate(cfg.planner).label
-    return measure(cfg, lambda env: build.make_planner(cfg, env), name)
+    return measure(cfg, lambda env: build.make_planner(cfg, env), name, on_progress=on_progress)
 
 
-def measure_beside_planners(cfg: DictConfig, policy: nn.Module, name: str) -> list[Entry]:
+def measure_beside_planners(
+    cfg: DictConfig, policy: nn.Module, name: str, on_progress: OnProgress | None = None
+) -> Iterator[Entry]:
     """A learned policy, then random and nearest_unknown (none, greedy) on the same houses.
 
-    On a task of others, random alone.
+    Each is measured when it is asked for. On a task of others, random alone.
     """
     if not plays_houses(cfg):
         seed = START_SEEDS[cfg.evaluation.house_set]
         both: tuple[tuple[nn.Module | None, str], ...] = ((policy, name), (None, RANDOM))
-        return [measure_return(cfg, one, called, seed) for one, called in both]
-    entries = [measure(cfg, lambda env: policy, name, epsilon=cfg.evaluation.epsilon)]
+        yield from (measure_return(cfg, one, called, seed) for one, called in both)
+        return
+    epsilon = cfg.evaluation.epsilon
+    yield measure(cfg, lambda env: policy, name, epsilon=epsilon, on_progress=on_progress)
     for overrides in YARDSTICKS:
         rival = cfg.copy()
         rival.planner = compose_config(overrides).planner
-        entries.append(measure_planner(rival))
-    return entries
+        yield measure_planner(rival, on_progress)
 
 
 def play(
-    env: TransformedEnv, policy: nn.Module, epsilon: float, certify: bool, optimum: bool = False
+    env: TransformedEnv,
+    policy: nn.Module,
+    epsilon: float,
+    certify: bool,
+    optimum: bool = False,
+    on_share: Callable[[float], object] | None = None,
 ) -> list[Record]:
     """One episode in every environment, greedily but for `epsilon`; its records in their order."""
     training = policy.training
@@ -190,6 +212,8 @@ def play(
                 td = env.step(td)
                 recorder.update(td)
                 td = step_mdp(td)
+                if on_share is not None:
+                    on_share(recorder.share_done())
     finally:
         policy.train(training)
     return recorder.records()

@@ -84,6 +84,13 @@ class Recorder:
         self._note(state)
         self._stop(state, step["next"][DONE].flatten())
 
+    def share_done(self) -> float:
+        """How much of the episodes is over: of each its coverage or its steps, what is more."""
+        by_cells = self.num_visited / self.num_free
+        by_steps = self.steps / self.max_steps
+        share = torch.maximum(by_cells, by_steps).clamp(max=1)
+        return float(torch.where(self.playing, share, 1.0).mean())
+
     def _enter(self, state: State, counts: Bool[Tensor, "env agent_or_1"]) -> None:
         """Mark the cell under each robot as entered by it, where the house still counts."""
         cell = cell_index(state.position, self.env.rules.margin, state.blocked.shape[2])[..., None]

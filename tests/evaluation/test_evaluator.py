@@ -134,7 +134,7 @@ def test_certainty_plays_on_and_changes_nothing_else(cfg):
 
 
 def test_a_learned_policy_stands_beside_the_planners(cfg):
-    entries = measure_beside_planners(cfg, Spread(), "mine")
+    entries = list(measure_beside_planners(cfg, Spread(), "mine"))
     names = [entry["policy"] for entry in entries]
     assert names == ["mine", "random", "nearest_unknown", "nearest_unknown+greedy"]
     assert [entry["epsilon"] for entry in entries] == [0.02, 0.0, 0.0, 0.0]
