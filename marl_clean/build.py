@@ -16,6 +16,7 @@ from marl_clean.config.compose import checked, plays_houses
 from marl_clean.config.fitting import check_fit
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import find_run, load_config
+from marl_clean.encoder.base import Encoder
 from marl_clean.env.channel_seed import ChannelSeed
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.env.global_state import GlobalState
@@ -121,6 +122,17 @@ def make_planner(cfg: DictConfig, env: TransformedEnv) -> Planner:
     return planner.bind(env.base_env)
 
 
+def make_encoder(cfg: DictConfig, seen: torch.Size) -> Encoder:
+    """Build the encoder of what robots see, of shape `seen`.
+
+    One that asks for `spread` is handed how the observation's codes spread over planes.
+    """
+    parts = {}
+    if plays_houses(cfg) and takes(cfg.encoder._target_, "spread"):
+        parts["spread"] = instantiate(cfg.observation).spread
+    return instantiate(cfg.encoder, observation_shape=seen, **parts)
+
+
 def make_comm(section: DictConfig, in_features: int, seen: torch.Size) -> Comm:
     """Build a scheme for features of this length; `seen` is the shape of an observation.
 
@@ -152,7 +164,7 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     if cfg.get("parameter_budget") is not None:
         cfg = as_wide_as_allowed(cfg, env)
     seen = env.observation_spec[keys.OBSERVATION].shape[2:]
-    encoder = instantiate(cfg.encoder, observation_shape=seen)
+    encoder = make_encoder(cfg, seen)
     comm = make_comm(cfg.comm, encoder.out_features, seen)
     told = {}
     if constant(cfg.agent._target_, "needs_state"):

@@ -39,7 +39,7 @@ IS_INIT = "is_init"  # *B 1 bool: the first frame of an episode
 STATE = "state"  # *B ch R C bool: the truth, for mixers
 
 REWARD = (AGENTS, "reward")  # *B n 1 float32: what the robot is paid
-OWN_REWARD = (AGENTS, "own_reward")  # *B n 1 float32: what it earned itself
+OWN_REWARD = (AGENTS, "own_reward")  # *B n 1 float32: what it earned itself in the last step
 INFO_STEP = (AGENTS, "info", "step")  # *B n 1 float32, the three terms of own_reward
 INFO_CLEANING = (AGENTS, "info", "cleaning")
 INFO_DISCOVERY = (AGENTS, "info", "discovery")

@@ -1,7 +1,9 @@
 """Convolutions into fully connected layers: what a robot makes of the square it sees."""
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
+from typing import final
 
 import torch
 from jaxtyping import Float
@@ -10,30 +12,12 @@ from torch import Tensor, nn
 from marl_clean.encoder.base import Encoder, connect
 from marl_clean.errors import BadInput
 from marl_clean.settings import Form, Layers, NonNegativeInt, PositiveInt, Probability, Recurrence
-from marl_clean.world.rules import BLOCKED_VALUE, CLEANED_VALUE, ROBOT_VALUE, UNKNOWN_VALUE
+
+Spread = Callable[[Tensor], Tensor]
+"""Spreads observations `[*batch, channel, row, col]` over more planes."""
 
 
-def spread_codes(
-    observation: Float[Tensor, "*batch channel row col"],
-) -> Float[Tensor, "*batch plane row col"]:
-    """Spread the map's codes over four planes, so that no weight has to tell -0.2 from 0.2.
-
-    The planes are blocked, unknown, dirt and robots: 1 where the code says so, else 0. Dirt is
-    `1 - 2 v` of an available cell: 0 just cleaned, 1 dirty. The codes are constants, so comparing
-    them exactly is right. Only the first channel is a map; others follow the planes unchanged.
-    The result is laid out channels last.
-    """
-    code, further = observation[..., 0, :, :], observation[..., 1:, :, :]
-    available = (code >= 0) & (code <= CLEANED_VALUE)
-    out = code.new_empty(*code.shape, 4 + further.shape[-3])  # three times as fast as a stack
-    out[..., 0] = code == BLOCKED_VALUE
-    out[..., 1] = code == UNKNOWN_VALUE
-    out[..., 2] = torch.where(available, 1 - code / CLEANED_VALUE, 0.0)
-    out[..., 3] = code == ROBOT_VALUE
-    out[..., 4:] = further.movedim(-3, -1)
-    return out.movedim(-1, -3)
-
-
+@final
 class Cnn(Encoder):
     """Turn each robot's square of the map into a feature vector (paper §3.4, figure 3).
 
@@ -48,9 +32,10 @@ class Cnn(Encoder):
         padding: cells of zeros put around the input of each convolution.
         hidden: width of each fully connected layer; the last is the feature's.
         dropout: share of hidden units dropped while learning.
-        planes: spread the map's codes over four planes first, see `spread_codes`.
+        planes: spread the observation's codes over planes first, as `spread` does.
         channels_last: memory format of the convolutions; faster on a CPU, the same result.
         memory: `gru`: the features go through a GRU that remembers those of earlier steps.
+        spread: what `planes` asks for, as the observation defines it; null: nothing to spread.
 
     Raises:
         BadInput: lists of different lengths, an observation that is no square or one too small
@@ -71,6 +56,7 @@ class Cnn(Encoder):
         planes: bool,
         channels_last: bool,
         memory: Recurrence = "none",
+        spread: Spread | None = None,
     ) -> None:
         super().__init__()
         if len(observation_shape) != 3:
@@ -80,10 +66,12 @@ class Cnn(Encoder):
                 f"encoder.strides: {len(strides)} strides for {len(channels)} convolutions;"
                 " give one for each of encoder.channels"
             )
-        self.planes = planes
+        self.spread = spread if planes else None
         self.memory_format = torch.channels_last if channels_last else torch.contiguous_format
         in_channels, *sides = observation_shape
-        depths = pairwise([in_channels + 3 * planes, *channels])
+        if self.spread is not None:
+            in_channels = len(self.spread(torch.zeros(observation_shape)))
+        depths = pairwise([in_channels, *channels])
         convolutions: list[nn.Module] = []
         for (before, after), stride in zip(depths, strides, strict=True):
             convolutions += [
@@ -109,7 +97,7 @@ class Cnn(Encoder):
         """Return one feature vector a robot, from its own observation alone."""
         self.check_shape(observation)
         square = observation.flatten(0, -4)
-        if self.planes:
-            square = spread_codes(square)
+        if self.spread is not None:
+            square = self.spread(square)
         image = self.convolutions(square.contiguous(memory_format=self.memory_format))
         return self.connected(image.flatten(1)).unflatten(0, observation.shape[:-3])

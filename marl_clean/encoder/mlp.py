@@ -1,5 +1,7 @@
 """Fully connected layers: what a robot makes of a few numbers."""
 
+from typing import final
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -9,6 +11,7 @@ from marl_clean.errors import BadInput
 from marl_clean.settings import Form, Layers, Probability, Recurrence
 
 
+@final
 class Mlp(Encoder):
     """Turn each robot's vector, such as its sensors' distances, into a feature vector.
 

@@ -13,8 +13,9 @@ from marl_clean.world.random import Purpose
 class Played(EnvBase):
     """A batch of `num_envs` worlds, each with the same `n_agents` robots.
 
-    It writes `("agents", "own_reward")`, what each robot earned itself; what it is paid is added
-    by `marl_clean.reward`. Its constructor is handed the houses to play in where it has a
+    What a robot is paid, `("agents", "reward")`, is its only reward; what it earned itself,
+    `("agents", "own_reward")`, is an observation, of which `marl_clean.reward` makes the
+    payment. Its constructor is handed the houses to play in where it has a
     parameter `houses`, and who may talk to whom otherwise.
 
     Attributes:

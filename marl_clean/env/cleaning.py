@@ -2,7 +2,7 @@
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 import torch
@@ -28,16 +28,18 @@ from marl_clean.settings import (
     Sensor,
     Worlds,
 )
-from marl_clean.world import turn
+from marl_clean.world import step
 from marl_clean.world.dynamics import MOVES, advance_
-from marl_clean.world.episode import FurnitureMoves, begin
+from marl_clean.world.episode import begin
 from marl_clean.world.furniture import move_furniture_
 from marl_clean.world.noise import unnoticed_bumps
 from marl_clean.world.random import Purpose, random_bits, seed_tensor, words_of_robots
 from marl_clean.world.rules import Rules
+from marl_clean.world.setup import Contact, FurnitureMoves, Setup
 from marl_clean.world.state import State
 
 
+@final
 class CleaningEnv(Compiling):
     """Blind robots that clean unknown houses together, many houses at once.
 
@@ -51,15 +53,16 @@ class CleaningEnv(Compiling):
     2 down (row + 1), 3 left (col - 1). There is no "stay".
 
     ## Observations
-    `("agents", "position")`, int64 `[num_envs, n_agents, 2]`: (row, col) in the house. What a
-    network sees is added by the transforms of `marl_clean.observation` and
-    `marl_clean.topology`, which read `env.state` by reference, and `env.reset_state`, the worlds
-    `env.reset_rows` as the last reset began them.
+    `("agents", "position")`, int64 `[num_envs, n_agents, 2]`: (row, col) in the house; and
+    `("agents", "own_reward")`, float32 `[num_envs, n_agents, 1]`, what each robot earned in the
+    last step: the sum of the terms `("agents", "info", "step" | "cleaning" | "discovery")`, see
+    `marl_clean.world.rewards`; 0 after a reset. What a network sees is added by the transforms
+    of `marl_clean.observation` and `marl_clean.topology`, pure functions of `env.state` and
+    `env.setup`, or of `env.reset_state`, the worlds `env.reset_rows` as the last reset began them.
 
     ## Rewards
-    `("agents", "own_reward")`, float32 `[num_envs, n_agents, 1]`: the sum of the three terms in
-    `("agents", "info", "step" | "cleaning" | "discovery")`; see `marl_clean.world.rewards`.
-    What a robot is paid, `("agents", "reward")`, is added by `marl_clean.reward`.
+    `("agents", "reward")`, float32 `[num_envs, n_agents, 1]`: what a robot is paid, its
+    `own_reward` unless a transform of `marl_clean.reward` splits otherwise.
 
     ## Starting state
     A house drawn from `houses`, after `open_houses(k)` from the first k of them (or, with
@@ -108,13 +111,12 @@ class CleaningEnv(Compiling):
         furniture_moves_before_start: NonNegativeInt = 0,
         compile: bool = False,
         house_order: HouseOrder = HouseOrder.RANDOM,
-        contact: turn.Contact | None = None,
+        contact: Contact | None = None,
         first_env: int = 0,
         seed: int = 0,
         device: torch.device | str = "cpu",
     ) -> None:
         super().__init__(device=device, batch_size=[num_envs])
-        self.rules = rules
         if rules.memory is not Memory.SHARED and contact is None:
             raise BadInput(
                 f"env.memory={rules.memory}: needs contact=, a topology's contact function"
@@ -127,34 +129,44 @@ class CleaningEnv(Compiling):
         self.n_agents = n_agents
         self.num_envs = num_envs
         self.houses = houses
-        self.house_order = house_order
-        self.num_open = len(houses)
-        self.furniture = FurnitureMoves(furniture_moves_per_episode, furniture_moves_before_start)
-        self.contact = contact
         self._started = False
-        self._houses = house_tensors(houses, n_agents, max_steps, rules.margin, self.device)
         self.moves = torch.tensor(MOVES, device=self.device)
-        self.env_index = torch.arange(first_env, first_env + num_envs, device=self.device)
         specs = make_specs(num_envs, n_agents, largest_side=max(houses.free.shape[1:]))
         self.action_spec, self.observation_spec, self.reward_spec, self.done_spec = specs
         self.to(self.device)
-        self._set_seed(seed)
-        self.state = begin(
-            self._houses,
-            self.env_index,
-            torch.zeros_like(self.env_index),
-            self.seed_word,
-            self.house_order,
-            self.num_open,
-            self.furniture,
-            rules,
+        self.setup = Setup(
+            rules=rules,
+            houses=house_tensors(houses, n_agents, max_steps, rules.margin, self.device),
+            env_index=torch.arange(first_env, first_env + num_envs, device=self.device),
+            seed=seed_tensor(seed, self.device),
+            house_order=house_order,
+            num_open=len(houses),
+            furniture=FurnitureMoves(furniture_moves_per_episode, furniture_moves_before_start),
+            contact=contact,
         )
+        self._set_seed(seed)
+        self.state = begin(self.setup, torch.zeros_like(self.env_index))
+
+    @property
+    def rules(self) -> Rules:
+        """The readings of the paper that these worlds are stepped by."""
+        return self.setup.rules
+
+    @property
+    def env_index(self) -> Int[Tensor, " env"]:
+        """The index of each world; what is drawn in it depends on it."""
+        return self.setup.env_index
+
+    @property
+    def num_open(self) -> int:
+        """Among how many of the houses new episodes draw theirs."""
+        return self.setup.num_open
 
     def open_houses(self, count: int) -> None:
         """Let episodes that start from now on draw among the first `count` houses alone."""
         if not 1 <= count <= len(self.houses):
             raise BadInput(f"open_houses({count}): valid: 1 to {len(self.houses)}")
-        self.num_open = count
+        self.setup = self.setup._replace(num_open=count)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
@@ -166,50 +178,44 @@ class CleaningEnv(Compiling):
         return first_frame(self.state)
 
     def begin_rows(
-        self, rows: Int[Tensor, " row"], readers: Sequence[turn.Reader] = ()
-    ) -> tuple[State, turn.Readings]:
+        self, rows: Int[Tensor, " row"], reads: Sequence[step.Read] = ()
+    ) -> tuple[State, step.Entries]:
         """Begin the next episode in the worlds `rows`.
 
-        Returns these worlds alone, and what `readers` tell of them, computed along the way.
+        Returns these worlds alone, and what `reads` observe in them, computed along the way.
         """
-        fresh, readings = self.compiled(turn.begin_rows_)(
-            self.state,
-            rows,
-            self._started,
-            self._houses,
-            self.env_index,
-            self.seed_word,
-            self.house_order,
-            self.num_open,
-            self.furniture,
-            self.rules,
-            self.contact,
-            readers,
-        )
+        begin_rows_ = self.compiled(step.begin_rows_)
+        fresh, entries = begin_rows_(self.state, self.setup, rows, self._started, reads)
         self.reset_rows, self.reset_state = rows, fresh
         self._started = True
-        return fresh, readings
+        return fresh, entries
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        return self.play(tensordict.get(keys.ACTION))
+        return self.step_worlds(tensordict.get(keys.ACTION))
 
-    def play(
-        self, action: Int[Tensor, "env agent"], along: turn.Along = turn.NOTHING
+    def step_worlds(
+        self, action: Int[Tensor, "env agent"], along: step.Along = step.NOTHING
     ) -> TensorDict:
-        """Play a step and return its frame, with what is computed `along`."""
-        state, rules = self.state, self.rules
+        """Advance all worlds a step and return its frame, with what is computed `along`.
+
+        Raises:
+            BadInput: an action that is none of 0 to 3. Where it would be waited for, which is on
+                a GPU, nobody looks.
+        """
+        check_actions(action)
+        state, setup, rules = self.state, self.setup, self.setup.rules
         unnoticed = None
         if rules.bump_noise:
             draw = self.compiled(unnoticed_bumps)
-            unnoticed = draw(state, self.env_index, self.seed_word, rules.bump_noise)
-        moved = (state, action, self.moves, rules, unnoticed)
-        if self.furniture.during_episode or rules.sensor is Sensor.TOUCH4:
-            outcome = self.compiled(advance_)(*moved)
-            if self.furniture.during_episode:
+            unnoticed = draw(state, setup.env_index, setup.seed, rules.bump_noise)
+        if setup.furniture.during_episode or rules.sensor is Sensor.TOUCH4:
+            outcome = self.compiled(advance_)(state, action, self.moves, rules, unnoticed)
+            if setup.furniture.during_episode:
                 move_furniture_(state, rules.margin)
-            settled = self.compiled(turn.settle_)(state, outcome, rules, self.contact, along)
+            settled = self.compiled(step.settle_)(state, outcome, setup, along)
         else:
-            outcome, settled = self.compiled(turn.step_)(*moved, self.contact, along)
+            step_ = self.compiled(step.step_)
+            outcome, settled = step_(state, action, self.moves, setup, unnoticed, along)
         return next_frame(state, outcome, settled)
 
     def _set_seed(self, seed: int | None) -> None:
@@ -217,7 +223,7 @@ class CleaningEnv(Compiling):
         if seed is None:
             raise BadInput("seed=None: must be an integer")
         self.seed_in_use = seed
-        self.seed_word = seed_tensor(seed, self.device)  # for what is compiled
+        self.setup = self.setup._replace(seed=seed_tensor(seed, self.device))
         self._started = False
         if "state" in self.__dict__:
             self.state.episode = torch.zeros_like(self.state.episode)
@@ -258,7 +264,8 @@ class CleaningEnv(Compiling):
 
     def scene(self, env_index: int = 0) -> Scene:
         """Return one world as it stands, to be drawn: the truth, what robots know, who talks."""
-        contact = None if self.contact is None else self.contact(self.state, self.rules)
+        setup = self.setup
+        contact = None if setup.contact is None else setup.contact(self.state, setup.rules)
         return scene_of(self.state, self.rules, env_index, contact)
 
     def render(
@@ -269,3 +276,13 @@ class CleaningEnv(Compiling):
         `cell_pixels`: the side of a cell; None: as fits the house.
         """
         return draw(self.scene(env_index), cell_pixels)
+
+
+def check_actions(action: Int[Tensor, "env agent"]) -> None:
+    """Raises BadInput for an action that is none of MOVES; on a CPU alone, where it is at hand."""
+    if action.device.type != "cpu" or not action.numel():
+        return
+    lowest, highest = torch.aminmax(action)
+    if lowest < 0 or highest >= len(MOVES):
+        wrong = int(lowest if lowest < 0 else highest)
+        raise BadInput(f"action {wrong}: valid: 0 up, 1 right, 2 down, 3 left")

@@ -8,32 +8,40 @@ from marl_clean import keys
 from marl_clean.env.specs import REWARD_TERMS
 from marl_clean.world.dynamics import Outcome
 from marl_clean.world.state import State
-from marl_clean.world.turn import Settled
+from marl_clean.world.step import Settled
 
 
 def first_frame(state: State) -> TensorDict:
-    """Return the frame of a reset, in which nothing has ended."""
+    """Return the frame of a reset, in which nothing is earned and nothing has ended."""
     zero = torch.zeros((len(state.step), 1), dtype=torch.bool, device=state.step.device)
     endings = {key: zero.clone() for key in keys.ENDINGS}
-    return _of_worlds(state, {"position": state.position}, endings)
+    nothing = torch.zeros((*state.position.shape[:2], 1), device=state.position.device)
+    info = _of_robots(state, {name: nothing.clone() for name in REWARD_TERMS})
+    robots = {"position": state.position, "own_reward": nothing, "info": info}
+    return _of_worlds(state, robots, endings)
 
 
 def next_frame(state: State, outcome: Outcome, settled: Settled) -> TensorDict:
     """Return the frame after a step: places, what each robot earned and why, what ended.
 
-    And what was computed along the way, all of it of the robots.
+    A robot is paid what it earned, where no split of rewards says otherwise.
     """
     terms = (outcome.step_term, outcome.cleaning_term, outcome.discovery_term)
     info = _of_robots(state, dict(zip(REWARD_TERMS, terms, strict=True)))
-    robots = {"position": state.position, "own_reward": outcome.own_reward, "info": info}
-    robots |= {name: value for (_, name), value in settled.readings.items()}
-    if settled.reward is not None:
-        robots["reward"] = settled.reward
-    return _of_worlds(state, robots, {key: getattr(settled, key) for key in keys.ENDINGS})
+    own = outcome.own_reward
+    robots = {"position": state.position, "own_reward": own, "info": info}
+    robots["reward"] = own.clone() if settled.reward is None else settled.reward
+    roots = {key: getattr(settled, key) for key in keys.ENDINGS}
+    for key, value in settled.entries.items():
+        if isinstance(key, str):
+            roots[key] = value
+        else:
+            robots[key[1]] = value
+    return _of_worlds(state, robots, roots)
 
 
-def _of_worlds(state: State, robots: dict, endings: dict[str, Tensor]) -> TensorDict:
-    entries = {keys.AGENTS: _of_robots(state, robots), **endings}
+def _of_worlds(state: State, robots: dict, roots: dict[str, Tensor]) -> TensorDict:
+    entries = {keys.AGENTS: _of_robots(state, robots), **roots}
     return TensorDict(entries, state.step.shape, device=state.step.device)
 
 

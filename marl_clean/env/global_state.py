@@ -9,7 +9,9 @@ from torchrl.data import Binary, TensorSpec
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.env.transform import WorldTransform
+from marl_clean.world.setup import Setup
 from marl_clean.world.state import State
+from marl_clean.world.step import Entries
 
 PLANES = ("blocked", "cleaned", "robots")
 
@@ -20,8 +22,8 @@ class GlobalState(WorldTransform):
     R and C are those of the largest house; a smaller one lies at the top left, blocked around.
     """
 
-    def read(self, state: State) -> dict[NestedKey, Tensor]:
-        return {keys.STATE: planes(state, self.cleaning.rules.margin)}
+    def read(self, state: State, setup: Setup) -> Entries:
+        return {keys.STATE: planes(state, setup.rules.margin)}
 
     def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:
         shape = planes(env.state, env.rules.margin).shape

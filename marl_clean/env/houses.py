@@ -8,7 +8,7 @@ from torch import Tensor
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses
 from marl_clean.settings import LARGEST_SIDE
-from marl_clean.world.episode import HouseTensors
+from marl_clean.world.setup import HouseTensors
 from marl_clean.world.state import pad_house
 
 

@@ -4,7 +4,7 @@ import importlib
 import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, final
 
 import torch
 from jaxtyping import Bool, Int
@@ -25,6 +25,7 @@ RAISED = (AssertionError, AttributeError, KeyError, RuntimeError, TypeError, Val
 Among = Callable[[int], Bool[Tensor, "agent agent"]]
 
 
+@final
 class PettingZoo(Played):
     """Somebody else's task, through PettingZoo: other agents than robots, the same learners.
 
@@ -39,9 +40,12 @@ class PettingZoo(Played):
     `("agents", "observation")`, float32 `[num_envs, n_agents, d]`: the task's, flattened.
     `("agents", "adjacency")`, the topology's, always the same: a task tells no positions.
     `("agents", "distance_rank")`: for want of distances the others in the task's order.
+    `("agents", "own_reward")`, float32 `[num_envs, n_agents, 1]`: what each agent earned in the
+    last step; 0 after a reset.
 
     ## Rewards
-    `("agents", "own_reward")`, float32 `[num_envs, n_agents, 1]`.
+    `("agents", "reward")`, float32 `[num_envs, n_agents, 1]`: what an agent is paid, its
+    `own_reward` unless a transform of `marl_clean.reward` splits otherwise.
 
     ## Starting state
     Each episode is reset with a seed that is a function of (seed, env index, episode).
@@ -114,8 +118,9 @@ class PettingZoo(Played):
             observation=Unbounded(torch.Size([*agents, width])),
             adjacency=Binary(self.n_agents, pairs, dtype=torch.bool),
             distance_rank=Bounded(0, max(self.n_agents - 1, 1), pairs, dtype=torch.int64),
+            own_reward=Unbounded(torch.Size([*agents, 1])),
         )
-        self.reward_spec = of_agents(own_reward=Unbounded(torch.Size([*agents, 1])))
+        self.reward_spec = of_agents(reward=Unbounded(torch.Size([*agents, 1])))
         self.done_spec = Composite({key: flag.clone() for key in keys.ENDINGS}, shape=agents[:1])
         self.to(self.device)
 
@@ -138,7 +143,8 @@ class PettingZoo(Played):
             begun = self.copies[row].reset(seed=int(seeds[row]))
             seen[row] = begun[keys.OBSERVATION].flatten(1)
         no_end = torch.zeros(self.num_envs, 1, dtype=torch.bool)
-        return self._answer({"observation": seen}, [no_end.clone() for _ in keys.ENDINGS])
+        entries = {"observation": seen, "own_reward": torch.zeros_like(seen[..., :1])}
+        return self._answer(entries, [no_end.clone() for _ in keys.ENDINGS])
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         chosen = tensordict.select(keys.ACTION).cpu().unbind(0)
@@ -147,7 +153,8 @@ class PettingZoo(Played):
         seen = torch.stack([one[keys.OBSERVATION] for one in later]).flatten(2)
         earned = torch.stack([one[keys.REWARD] for one in later])
         endings = [torch.stack([one[key] for one in later]) for key in keys.ENDINGS]
-        return self._answer({"observation": seen.float(), "own_reward": earned}, endings)
+        entries = {"observation": seen.float(), "own_reward": earned, "reward": earned.clone()}
+        return self._answer(entries, endings)
 
     def _answer(self, entries: dict[str, Tensor], endings: list[Tensor]) -> TensorDict:
         shape = [self.num_envs, self.n_agents]

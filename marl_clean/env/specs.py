@@ -24,7 +24,11 @@ def make_specs(
     flag = Binary(1, torch.Size([num_envs, 1]), dtype=torch.bool)
     return (
         of_agents(action=Categorical(len(MOVES), shape=agents)),
-        of_agents(position=Bounded(0, largest_side, shape=places, dtype=torch.int64)),
-        of_agents(own_reward=Unbounded(one), info=terms),
+        of_agents(
+            position=Bounded(0, largest_side, shape=places, dtype=torch.int64),
+            own_reward=Unbounded(one),
+            info=terms,
+        ),
+        of_agents(reward=Unbounded(one)),
         Composite({name: flag.clone() for name in keys.ENDINGS}, shape=agents[:1]),
     )

@@ -1,7 +1,7 @@
-"""What transforms share: those that read the world, and those that pay for what is done in it."""
+"""What transforms share: those that observe the worlds, and those that pay for what is done."""
 
 from abc import abstractmethod
-from collections.abc import Callable
+from typing import ClassVar
 
 from jaxtyping import Bool, Float
 from tensordict import TensorDictBase
@@ -12,61 +12,57 @@ from torchrl.envs import Transform
 
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.world.setup import Setup
 from marl_clean.world.state import State
-from marl_clean.world.turn import Reader
+from marl_clean.world.step import Entries
 
 
 class WorldTransform(Transform):
-    """Adds keys that are computed from the state of a `CleaningEnv`.
+    """Adds keys that are computed from the worlds of a `CleaningEnv`: `read` says how.
 
     The state is read by reference, from the env itself: a map published as a key would be copied
     at every partial reset and recorded at every step of a rollout. After a partial reset only
     the worlds that were reset are computed.
+
+    Attributes:
+        along: whether `read` is compiled into one call with the step, else in a call of its own
+            after it. That call's loops are short, those over the robots of a world; a `read` with
+            long ones, over a view, is several times faster alone.
     """
 
-    @property
-    def cleaning(self) -> CleaningEnv:
-        """The env whose state is read."""
-        return self.container.base_env
-
-    def reader(self, *, few: bool = False) -> Reader | None:
-        """Return what `read` does, where that is one function to be compiled with a step.
-
-        That asks for short loops; with `few` worlds, those that begin, it does not.
-        """
-        return None
+    along: ClassVar[bool] = False
 
     @abstractmethod
-    def read(self, state: State) -> dict[NestedKey, Tensor]:
-        """Compute the entries for all worlds of `state`, pure functions by `compiled`."""
-
-    def compiled(self, function: Callable, *, wide: bool = False) -> Callable:
-        """Return the function compiled, where the env is; see `Compiling.compiled`."""
-        return self.cleaning.compiled(function, wide=wide)
+    def read(self, state: State, setup: Setup) -> Entries:
+        """Return the entries for all worlds of `state`, a pure function of the two."""
 
     @abstractmethod
     def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:
         """Return the spec of every entry that `read` gives."""
 
-    def env_index_of(self, state: State) -> Tensor:
-        """The indices of the worlds in `state`, as `read` gets it: all, or those that reset."""
-        env = self.cleaning
-        return env.env_index if state is env.state else env.env_index[env.reset_rows]
+    @property
+    def cleaning(self) -> CleaningEnv:
+        """The env whose worlds are read."""
+        return self.container.base_env
+
+    def _read(self, state: State, setup: Setup) -> Entries:
+        return self.cleaning.compiled(self.read, wide=not self.along)(state, setup)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        for key, value in self.read(self.cleaning.state).items():
+        env = self.cleaning
+        for key, value in self._read(env.state, env.setup).items():
             next_tensordict.set(key, value)
         return next_tensordict
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        env = self.cleaning
-        if len(env.reset_rows) == env.num_envs:
-            entries = self.read(env.state)
+        env, rows = self.cleaning, self.cleaning.reset_rows
+        if len(rows) == env.num_envs:
+            entries = self._read(env.state, env.setup)
         else:
-            rows, all_envs = env.reset_rows, env.num_envs
-            entries = {k: _spread(v, rows, all_envs) for k, v in self.read(env.reset_state).items()}
+            fresh = self._read(env.reset_state, env.setup.of_rows(rows))
+            entries = {key: _spread(value, rows, env.num_envs) for key, value in fresh.items()}
         for key, value in entries.items():
             tensordict_reset.set(key, value)
         return tensordict_reset
@@ -82,11 +78,8 @@ def _spread(value: Tensor, rows: Tensor, num_envs: int) -> Tensor:
     return value.new_empty((num_envs, *value.shape[1:])).index_copy_(0, rows, value)
 
 
-class RewardSplit(Transform):
-    """Adds what each robot is paid, `("next", "agents", "reward")` `[*B, n, 1]`.
-
-    Contact is that of the moment when the actions were chosen, whatever becomes of the messages.
-    """
+class RewardTransform(Transform):
+    """Makes of what each robot earned, `own_reward`, what it is paid: `pay` says how."""
 
     @abstractmethod
     def pay(
@@ -101,7 +94,3 @@ class RewardSplit(Transform):
         paid = self.pay(own_reward, tensordict.get(keys.ADJACENCY))
         next_tensordict.set(keys.REWARD, paid)
         return next_tensordict
-
-    def transform_reward_spec(self, reward_spec: Composite) -> Composite:
-        reward_spec[keys.REWARD] = reward_spec[keys.OWN_REWARD].clone()
-        return reward_spec

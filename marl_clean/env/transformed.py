@@ -1,27 +1,33 @@
-"""TorchRL's env under transforms, with a shorter way through a step: the same frames."""
+"""TorchRL's env under transforms, with a shorter path through a step: the same frames."""
 
 from jaxtyping import Bool, Int
 from tensordict import TensorDict, TensorDictBase
-from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.envs import Compose, InitTracker, RewardSum, TensorDictPrimer, TransformedEnv
+from torchrl.envs import (
+    Compose,
+    InitTracker,
+    RewardSum,
+    TensorDictPrimer,
+    Transform,
+    TransformedEnv,
+)
 
 from marl_clean import keys
 from marl_clean.env.channel_seed import ChannelSeed
-from marl_clean.env.transform import RewardSplit, WorldTransform
-from marl_clean.world.turn import Along, Reader
+from marl_clean.env.transform import RewardTransform, WorldTransform
+from marl_clean.world.step import Along
 
-KNOWN = (WorldTransform, RewardSplit, ChannelSeed, RewardSum, InitTracker, TensorDictPrimer)
+KNOWN = (WorldTransform, RewardTransform, ChannelSeed, RewardSum, InitTracker, TensorDictPrimer)
 """Transforms that add entries and leave actions as they are."""
 
 
 class TransformedWorlds(TransformedEnv):
     """A `CleaningEnv` under transforms: `step_and_maybe_reset` without detours.
 
-    TorchRL's way serves every env: it looks for partial steps and inverse transforms, and of a
+    TorchRL's method serves every env: it looks for partial steps and inverse transforms, and of a
     reset it makes a whole batch of which it takes the rows that ended. Here a world ends as one,
     and only the rows that ended are made, and put into what is carried on. What comes out is what
-    TorchRL's own method gives, to the bit; with other transforms it is that method that plays.
+    TorchRL's own method gives, to the bit; with other transforms it is that method that steps.
     """
 
     def step_and_maybe_reset(
@@ -29,23 +35,22 @@ class TransformedWorlds(TransformedEnv):
     ) -> tuple[TensorDictBase, TensorDictBase]:
         worlds, transforms = self.base_env, self.transforms
         usual = tensordict.device == worlds.device and tensordict.batch_size == worlds.batch_size
-        known = all(isinstance(one, KNOWN) for one in transforms)
+        known = all(isinstance(transform, KNOWN) for transform in transforms)
         if not usual or not known or "_step" in tensordict:
             return super().step_and_maybe_reset(tensordict)
         adjacency = tensordict.get(keys.ADJACENCY, None)
-        pays = [one.pay for one in transforms if isinstance(one, RewardSplit)]
-        along = Along(readers_of(transforms), pays[-1] if pays else None, adjacency)
-        after = worlds.play(tensordict.get(keys.ACTION), along)
+        along = computed_along(transforms, adjacency)
+        after = worlds.step_worlds(tensordict.get(keys.ACTION), along)
         carried_over = tensordict.get("next", None)  # what a policy remembers
         if carried_over is not None:
             after.update(carried_over.exclude(*after.keys(True, True)))
-        for one in transforms:
-            if isinstance(one, WorldTransform):
-                done_along = one.reader() is not None
+        for transform in transforms:
+            if isinstance(transform, WorldTransform):
+                is_computed = transform.along
             else:
-                done_along = isinstance(one, RewardSplit) and adjacency is not None
-            if not done_along:
-                after = one._step(tensordict, after)
+                is_computed = isinstance(transform, RewardTransform) and along.pay is not None
+            if not is_computed:
+                after = transform._step(tensordict, after)
         tensordict.set("next", after)
         carried = self._step_mdp(tensordict)
         done = after.get(keys.DONE)
@@ -55,7 +60,7 @@ class TransformedWorlds(TransformedEnv):
         return tensordict, carried
 
     @property
-    def transforms(self) -> list:
+    def transforms(self) -> list[Transform]:
         """The transforms, in their order."""
         whole = self.transform
         return list(whole.transforms) if isinstance(whole, Compose) else [whole]
@@ -67,15 +72,13 @@ class TransformedWorlds(TransformedEnv):
 
         What no first frame has, such as what a policy wrote, is 0 there.
         """
-        readers = readers_of(self.transforms, few=True)
-        fresh, readings = self.base_env.begin_rows(rows, readers)
-        entries: dict[NestedKey, Tensor] = {keys.POSITION: fresh.position, **readings}
-        for one in self.transforms:
-            if isinstance(one, WorldTransform):
-                entries |= {} if one.reader(few=True) else one.read(fresh)
-            elif not isinstance(one, RewardSplit | RewardSum):  # whose sums begin at 0
+        worlds = [one for one in self.transforms if isinstance(one, WorldTransform)]
+        fresh, entries = self.base_env.begin_rows(rows, [one.read for one in worlds])
+        entries[keys.POSITION] = fresh.position
+        for transform in self.transforms:
+            if not isinstance(transform, WorldTransform | RewardTransform | RewardSum):
                 asked = TensorDict({"_reset": done}, self.batch_size, device=self.device)
-                begun = one._reset(asked, asked.empty())
+                begun = transform._reset(asked, asked.empty())
                 entries |= {key: begun.get(key)[rows] for key in begun.keys(True, True)}
         for key, before in list(carried.items(True, True)):
             if key in entries:
@@ -84,7 +87,11 @@ class TransformedWorlds(TransformedEnv):
                 carried.set(key, before.index_fill(0, rows, 0))
 
 
-def readers_of(transforms: list, *, few: bool = False) -> list[Reader]:
-    """Return what transforms have computed along with a step, or with a beginning (`few`)."""
-    readers = (one.reader(few=few) for one in transforms if isinstance(one, WorldTransform))
-    return [reader for reader in readers if reader is not None]
+def computed_along(
+    transforms: list[Transform], adjacency: Bool[Tensor, "env agent agent"] | None
+) -> Along:
+    """Return what these transforms have computed along with a step, not after it."""
+    worlds = (one for one in transforms if isinstance(one, WorldTransform))
+    pays = [one.pay for one in transforms if isinstance(one, RewardTransform)]
+    pay = pays[-1] if pays and adjacency is not None else None
+    return Along([one.read for one in worlds if one.along], pay, adjacency)

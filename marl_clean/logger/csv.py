@@ -4,6 +4,7 @@ import csv
 import io
 from collections.abc import Mapping
 from pathlib import Path
+from typing import final
 
 from marl_clean.logger.base import CLOCK, Logger
 from marl_clean.storage import files
@@ -11,6 +12,7 @@ from marl_clean.storage import files
 FRAMES = "frames"
 
 
+@final
 class Csv(Logger):
     """Write `metrics.csv`, a column a name, empty where a row has no value.
 

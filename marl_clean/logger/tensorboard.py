@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import final
 
 from torchrl.record.loggers import TensorboardLogger
 
 from marl_clean.logger.base import Logger
 
 
+@final
 class TensorBoard(Logger):
     """Write every value, those of the clock too, into the run's folder `tensorboard`.
 

@@ -4,7 +4,9 @@ from abc import abstractmethod
 from typing import ClassVar
 
 import torch
+from jaxtyping import Float
 from tensordict.utils import NestedKey
+from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
 
 from marl_clean import keys
@@ -30,6 +32,15 @@ class Observation(WorldTransform):
     @abstractmethod
     def shape(self) -> tuple[int, ...]:
         """Return the shape of one robot's observation."""
+
+    @staticmethod
+    def spread(observation: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+        """Return observations as an encoder looks at them: codes spread over planes, if any.
+
+        What is stored is the observation itself, which may be more compact. A function of no
+        object, so that networks which hold it can be copied.
+        """
+        return observation
 
     def specs(self, env: CleaningEnv) -> dict[NestedKey, TensorSpec]:
         shape = torch.Size([env.num_envs, env.n_agents, *self.shape()])

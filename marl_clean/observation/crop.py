@@ -1,18 +1,22 @@
 """`observation=crop`: the paper's."""
 
-from tensordict.utils import NestedKey
+from typing import final
+
+from jaxtyping import Int
 from torch import Tensor
 
 from marl_clean import keys
+from marl_clean.observation._map import spread_codes, with_contacts
 from marl_clean.observation.base import Observation
-from marl_clean.settings import Form, Memory, OddInt, Probability
+from marl_clean.settings import Form, OddInt, Probability
 from marl_clean.world.noise import believed_position
-from marl_clean.world.rules import Rules
-from marl_clean.world.sensing import crop, mark_contacts
+from marl_clean.world.sensing import crop
+from marl_clean.world.setup import Setup
 from marl_clean.world.state import State
-from marl_clean.world.turn import Reader
+from marl_clean.world.step import Entries
 
 
+@final
 class Crop(Observation):
     """A robot sees the square of its map around itself, itself in the middle (paper §3.2).
 
@@ -27,6 +31,7 @@ class Crop(Observation):
     """
 
     gives = Form.SQUARES
+    spread = staticmethod(spread_codes)
 
     def __init__(self, view_size: OddInt = 15, position_noise: Probability = 0.0) -> None:
         super().__init__()
@@ -37,37 +42,14 @@ class Crop(Observation):
     def shape(self) -> tuple[int, ...]:
         return 1, self.view_size, self.view_size
 
-    def reader(self, *, few: bool = False) -> Reader | None:
-        square_alone = type(self) is Crop  # classes derived from it read more
-        as_is = self.position_noise == 0 and self.cleaning.rules.memory is not Memory.PRIVATE
-        return self.square if few and square_alone and as_is else None
-
-    def square(self, state: State, rules: Rules) -> dict[NestedKey, Tensor]:
-        """Return the squares around where robots are, nobody marked in them."""
-        view = crop(state.record, state.position, state.step, self.view_size, rules)
+    def read(self, state: State, setup: Setup) -> Entries:
+        centre = self.centre(state, setup)
+        view = crop(state.record, centre, state.step, self.view_size, setup.rules)
+        view = with_contacts(view, centre - self.view_size // 2, state, setup)
         return {keys.OBSERVATION: view.unsqueeze(2)}
 
-    def read(self, state: State) -> dict[NestedKey, Tensor]:
-        centre = self.centre(state)
-        view = self.compiled(crop, wide=True)(
-            state.record, centre, state.step, self.view_size, self.cleaning.rules
-        )
-        view = self.with_contacts(view, centre, state)
-        return {keys.OBSERVATION: view.unsqueeze(2)}
-
-    def centre(self, state: State) -> Tensor:
+    def centre(self, state: State, setup: Setup) -> Int[Tensor, "env agent 2"]:
         """Return where each robot thinks it is, the middle of what it sees."""
         if self.position_noise == 0:
             return state.position
-        return self.compiled(believed_position)(
-            state, self.env_index_of(state), self.cleaning.seed_word, self.position_noise
-        )
-
-    def with_contacts(self, view: Tensor, centre: Tensor, state: State) -> Tensor:
-        """Show the robots in contact in views of private maps; shared and merged ones show them."""
-        env = self.cleaning
-        if env.rules.memory is not Memory.PRIVATE or env.contact is None:
-            return view
-        corner = centre - view.shape[-1] // 2
-        contact = env.contact(state, env.rules)
-        return self.compiled(mark_contacts)(view, corner, state.position, contact)
+        return believed_position(state, setup.env_index, setup.seed, self.position_noise)

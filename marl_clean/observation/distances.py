@@ -1,19 +1,22 @@
 """`observation=distances`: the paper's alternative, sensors instead of memory."""
 
+from typing import final
+
 import torch
-from tensordict.utils import NestedKey
-from torch import Tensor
 
 from marl_clean import keys
 from marl_clean.observation.base import Observation
 from marl_clean.settings import Form, RangeCells
 from marl_clean.world.sensing import free_run
+from marl_clean.world.setup import Setup
 from marl_clean.world.state import State
+from marl_clean.world.step import Entries
 
 COMPASS = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
 """North (up), north-east, east and on around, as changes of (row, col)."""
 
 
+@final
 class Distances(Observation):
     """A robot senses how far the nearest obstacle is in eight directions (paper §3.2).
 
@@ -29,6 +32,7 @@ class Distances(Observation):
 
     gives = Form.VECTOR
     lowest = 0.0
+    along = True
 
     def __init__(self, range_cells: RangeCells = 15) -> None:
         super().__init__()
@@ -38,8 +42,6 @@ class Distances(Observation):
     def shape(self) -> tuple[int, ...]:
         return (len(COMPASS),)
 
-    def read(self, state: State) -> dict[NestedKey, Tensor]:
-        cells = self.compiled(free_run)(
-            state.blocked, state.position, self.compass, self.range_cells, self.cleaning.rules
-        )
+    def read(self, state: State, setup: Setup) -> Entries:
+        cells = free_run(state.blocked, state.position, self.compass, self.range_cells, setup.rules)
         return {keys.OBSERVATION: cells.to(torch.float32) / self.range_cells}

@@ -1,16 +1,21 @@
 """`observation=frontier`: the paper's square and a plane that shows where the next dirt is near."""
 
+from typing import final
+
 import torch
-from tensordict.utils import NestedKey
-from torch import Tensor
 
 from marl_clean import keys
+from marl_clean.observation.base import Observation
 from marl_clean.observation.crop import Crop
+from marl_clean.settings import Form, OddInt, Probability
 from marl_clean.world.frontier import how_much_nearer, steps_to_frontier
+from marl_clean.world.setup import Setup
 from marl_clean.world.state import State
+from marl_clean.world.step import Entries
 
 
-class Frontier(Crop):
+@final
+class Frontier(Observation):
     """The crop, and how much nearer than the robot each of its cells is to what needs a visit.
 
     Adds `("agents", "observation")`, float32 `[*B, n, 2, K, K]`: the crop of the map, and a plane
@@ -23,16 +28,27 @@ class Frontier(Crop):
     that for a wall the second is 0 all over.
 
     Unlike the crop this costs the house, not the view: a flood over every known map a step.
-    Args and settings are the crop's.
+
+    Args:
+        view_size: K, the side of the square in cells, odd.
+        position_noise: see `Crop`.
     """
+
+    gives = Form.SQUARES
+    spread = staticmethod(Crop.spread)
+
+    def __init__(self, view_size: OddInt = 15, position_noise: Probability = 0.0) -> None:
+        super().__init__()
+        self.view_size = view_size
+        self.crop = Crop(view_size, position_noise)
+        self.reach_cells = self.crop.reach_cells
 
     def shape(self) -> tuple[int, ...]:
         return 2, self.view_size, self.view_size
 
-    def read(self, state: State) -> dict[NestedKey, Tensor]:
-        crop = super().read(state)[keys.OBSERVATION]
-        distance = steps_to_frontier(state, self.cleaning.rules)
-        plane = self.compiled(how_much_nearer, wide=True)(
-            distance, self.centre(state), self.view_size, self.cleaning.rules
-        )
+    def read(self, state: State, setup: Setup) -> Entries:
+        crop = self.crop.read(state, setup)[keys.OBSERVATION]
+        distance = steps_to_frontier(state, setup.rules)
+        centre = self.crop.centre(state, setup)
+        plane = how_much_nearer(distance, centre, self.view_size, setup.rules)
         return {keys.OBSERVATION: torch.cat([crop, plane.unsqueeze(2)], 2)}

@@ -1,20 +1,24 @@
 """`observation=global_map`: all of the map, for whoever decides for all."""
 
+from typing import final
+
 import torch
 from tensordict.utils import NestedKey
-from torch import Tensor
 from torchrl.data import TensorSpec
 
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.house.base import check_largest
+from marl_clean.observation._map import spread_codes, with_contacts
 from marl_clean.observation.base import Observation
-from marl_clean.settings import Form, HouseSide, Memory
+from marl_clean.settings import Form, HouseSide
 from marl_clean.world.scales import marked, whole_map
-from marl_clean.world.sensing import mark_contacts
+from marl_clean.world.setup import Setup
 from marl_clean.world.state import State
+from marl_clean.world.step import Entries
 
 
+@final
 class GlobalMap(Observation):
     """A robot sees all of its map, and on a plane of its own where in it it is.
 
@@ -35,6 +39,7 @@ class GlobalMap(Observation):
     """
 
     gives = Form.SQUARES
+    spread = staticmethod(spread_codes)
 
     def __init__(self, largest_side: HouseSide = 10) -> None:
         super().__init__()
@@ -47,15 +52,10 @@ class GlobalMap(Observation):
         check_largest(self.largest_side, *env.houses.free.shape[1:])
         return super().specs(env)
 
-    def read(self, state: State) -> dict[NestedKey, Tensor]:
-        env = self.cleaning
-        known = self.compiled(whole_map, wide=True)(
-            state.record, state.step, self.largest_side, env.rules
-        )
-        view = known.expand(-1, env.n_agents, -1, -1)
-        if env.rules.memory is Memory.PRIVATE and env.contact is not None:
-            corner = torch.full_like(state.position, -1)  # the ring's
-            contact = env.contact(state, env.rules)
-            view = self.compiled(mark_contacts)(view, corner, state.position, contact)
-        own = self.compiled(marked)(state.position, self.largest_side)
+    def read(self, state: State, setup: Setup) -> Entries:
+        known = whole_map(state.record, state.step, self.largest_side, setup.rules)
+        view = known.expand(-1, state.n_agents, -1, -1)
+        corner = torch.full_like(state.position, -1)  # the ring's
+        view = with_contacts(view, corner, state, setup)
+        own = marked(state.position, self.largest_side)
         return {keys.OBSERVATION: torch.stack([view, own], 2)}

@@ -1,17 +1,22 @@
 """`observation=pyramid`: the paper's square, and the same square again at coarser scales."""
 
+from typing import final
+
 import torch
-from tensordict.utils import NestedKey
-from torch import Tensor
 
 from marl_clean import keys
+from marl_clean.observation._map import with_contacts
+from marl_clean.observation.base import Observation
 from marl_clean.observation.crop import Crop
-from marl_clean.settings import OddInt, Probability, Scales
+from marl_clean.settings import Form, OddInt, Probability, Scales
 from marl_clean.world.scales import PLANES_A_SCALE, coarser, wide_crop, widest_side
+from marl_clean.world.setup import Setup
 from marl_clean.world.state import State
+from marl_clean.world.step import Entries
 
 
-class Pyramid(Crop):
+@final
+class Pyramid(Observation):
     """The crop, and twice, four times ... as much of the map around it, the coarser the farther.
 
     Adds `("agents", "observation")`, float32 `[*B, n, 1 + 4 (scales - 1), K, K]`: the crop, then
@@ -33,24 +38,27 @@ class Pyramid(Crop):
         position_noise: see `Crop`; all scales are around the same cell.
     """
 
+    gives = Form.SQUARES
+    spread = staticmethod(Crop.spread)
+
     def __init__(
         self, view_size: OddInt = 15, scales: Scales = 3, position_noise: Probability = 0.0
     ) -> None:
-        super().__init__(view_size, position_noise)
+        super().__init__()
+        self.view_size = view_size
         self.scales = scales
+        self.crop = Crop(view_size, position_noise)
         self.reach_cells = 2  # an edge beyond the ring, which `wide_crop` reads for all outside
 
     def shape(self) -> tuple[int, ...]:
         return 1 + PLANES_A_SCALE * (self.scales - 1), self.view_size, self.view_size
 
-    def read(self, state: State) -> dict[NestedKey, Tensor]:
-        centre = self.centre(state)
+    def read(self, state: State, setup: Setup) -> Entries:
+        centre = self.crop.centre(state, setup)
         side = widest_side(self.view_size, self.scales)
-        code = self.compiled(wide_crop, wide=True)(
-            state.record, centre, state.step, side, self.cleaning.rules
-        )
-        code = self.with_contacts(code, centre, state)
+        code = wide_crop(state.record, centre, state.step, side, setup.rules)
+        code = with_contacts(code, centre - side // 2, state, setup)
         first = (side - self.view_size) // 2
         middle = slice(first, first + self.view_size)
-        planes = self.compiled(coarser, wide=True)(code, self.view_size, self.scales)
+        planes = coarser(code, self.view_size, self.scales)
         return {keys.OBSERVATION: torch.cat([code[:, :, None, middle, middle], planes], 2)}

@@ -1,5 +1,7 @@
 """`planner=boustrophedon`: the lawn mower of robotics textbooks, made for unknown houses."""
 
+from typing import final
+
 import torch
 from jaxtyping import Int
 from torch import Tensor
@@ -7,6 +9,7 @@ from torch import Tensor
 from marl_clean.planner.base import Known, Sweep
 
 
+@final
 class Boustrophedon(Sweep):
     """Sweeps up and down, column by column to the right, then to the left.
 

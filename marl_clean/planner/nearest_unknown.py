@@ -1,5 +1,7 @@
 """`planner=nearest_unknown`: the rival that the paper weighs and sets aside (§3.2)."""
 
+from typing import final
+
 import numpy as np
 import torch
 from jaxtyping import Bool, Int
@@ -20,6 +22,7 @@ from marl_clean.settings import Assignment, Ties
 from marl_clean.world.distance import UNREACHABLE, neighbours, walking_distance
 
 
+@final
 class NearestUnknown(Planner):
     """Each step anew, each robot walks to the nearest cell that its map does not know.
 

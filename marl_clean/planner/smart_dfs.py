@@ -1,5 +1,7 @@
 """`planner=smart_dfs`: the online tour whose length has a proven bound."""
 
+from typing import final
+
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
@@ -19,6 +21,7 @@ from marl_clean.planner.base import (
 from marl_clean.world.distance import UNREACHABLE, neighbours, walking_distance
 
 
+@final
 class SmartDFS(Sweep):
     """Depth first by the left-hand rule, with short ways back and a plan where the house splits.
 

@@ -1,11 +1,14 @@
 """`planner=spiral`: follows the wall on its left, then its own track, inwards."""
 
+from typing import final
+
 from jaxtyping import Int
 from torch import Tensor
 
 from marl_clean.planner.base import Known, Sweep, left_hand_rank
 
 
+@final
 class Spiral(Sweep):
     """Keeps what is done, wall or cleaned cell, on its left: a spiral into every open space.
 

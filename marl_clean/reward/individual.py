@@ -1,11 +1,14 @@
 """`reward=individual`."""
 
+from typing import final
+
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from marl_clean.env.transform import RewardSplit
+from marl_clean.reward.base import RewardSplit
 
 
+@final
 class Individual(RewardSplit):
     """Each robot is paid what it earns itself."""
 

@@ -1,11 +1,14 @@
 """`reward=neighbours`: the paper's."""
 
+from typing import final
+
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from marl_clean.env.transform import RewardSplit
+from marl_clean.reward.base import RewardSplit
 
 
+@final
 class Neighbours(RewardSplit):
     """Robots in contact also earn for each other: r_i + sum of r_j over contacts j (paper §3.4).
 

@@ -1,11 +1,14 @@
 """`reward=team`: the central controller's."""
 
+from typing import final
+
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from marl_clean.env.transform import RewardSplit
+from marl_clean.reward.base import RewardSplit
 
 
+@final
 class Team(RewardSplit):
     """Every robot is paid the sum of what all earn (paper §3.4, approach 1)."""
 

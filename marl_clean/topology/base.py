@@ -14,8 +14,9 @@ from marl_clean.env.transform import WorldTransform
 from marl_clean.errors import BadInput
 from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import distance_rank
+from marl_clean.world.setup import Setup
 from marl_clean.world.state import State
-from marl_clean.world.turn import Reader
+from marl_clean.world.step import Entries
 
 
 class Topology(WorldTransform):
@@ -25,12 +26,14 @@ class Topology(WorldTransform):
     `("agents", "distance_rank")`, int64 `[*B, n, n]`: 0 the robot itself, 1 the nearest, ...
     """
 
+    along = True
+
     @abstractmethod
     def contact(self, state: State, rules: Rules) -> Bool[Tensor, "env agent agent"]:
-        """Tell which robots are in contact."""
+        """Return which robots are in contact, a pure function of the two."""
 
     def among(self, n_agents: int) -> Bool[Tensor, "agent agent"]:
-        """Tell who is in contact where nobody has a position.
+        """Return who is in contact where nobody has a position.
 
         Raises:
             BadInput: contact depends on positions.
@@ -40,16 +43,9 @@ class Topology(WorldTransform):
             f"topology={level}: needs positions, which env does not tell; valid: full, none"
         )
 
-    def reader(self, *, few: bool = False) -> Reader:
-        return self.graph
-
-    def read(self, state: State) -> dict[NestedKey, Tensor]:
-        return self.compiled(self.graph)(state, self.cleaning.rules)
-
-    def graph(self, state: State, rules: Rules) -> dict[NestedKey, Tensor]:
-        """Tell who is in contact, and who is how near."""
+    def read(self, state: State, setup: Setup) -> Entries:
         return {
-            keys.ADJACENCY: self.contact(state, rules),
+            keys.ADJACENCY: self.contact(state, setup.rules),
             keys.DISTANCE_RANK: distance_rank(state.position),
         }
 

@@ -1,5 +1,7 @@
 """`topology=none`."""
 
+from typing import final
+
 import torch
 from jaxtyping import Bool
 from torch import Tensor
@@ -10,6 +12,7 @@ from marl_clean.world.sensing import everyone
 from marl_clean.world.state import State
 
 
+@final
 class Nobody(Topology):
     """No robot ever talks to another."""
 

@@ -1,5 +1,7 @@
 """`topology=radius`."""
 
+from typing import final
+
 from jaxtyping import Bool
 from torch import Tensor
 
@@ -10,6 +12,7 @@ from marl_clean.world.sensing import in_radius
 from marl_clean.world.state import State
 
 
+@final
 class Radius(Topology):
     """Robots talk within a Euclidean distance, through walls.
 

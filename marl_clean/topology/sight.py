@@ -1,6 +1,7 @@
 """`topology=sight`."""
 
 import math
+from typing import final
 
 from jaxtyping import Bool
 from torch import Tensor
@@ -12,6 +13,7 @@ from marl_clean.world.sensing import crossed_cells, in_sight
 from marl_clean.world.state import State
 
 
+@final
 class Sight(Topology):
     """Robots talk within a Euclidean distance when no wall stands between them.
 

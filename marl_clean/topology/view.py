@@ -1,5 +1,7 @@
 """`topology=view`: the paper's."""
 
+from typing import final
+
 from jaxtyping import Bool
 from torch import Tensor
 
@@ -10,6 +12,7 @@ from marl_clean.world.sensing import in_view
 from marl_clean.world.state import State
 
 
+@final
 class View(Topology):
     """Robots talk while each stands inside the other's square view (paper §3.4).
 

@@ -1,6 +1,7 @@
 """The physics of the cleaning world: pure tensor functions over one typed state.
 
-Reading order, ten minutes: `rules` (what is fixed), `state` (what changes), `dynamics` (who moves),
-`rewards` (what it pays), `shared_map` (what the robots remember), `sensing` (what they see),
-`furniture`, `distance` and `random`.
+Reading order, ten minutes: `rules` (what is fixed), `state` (what changes), `setup` (what begins
+and stays), `step` (a step and a beginning), `dynamics` (who moves), `rewards` (what it pays),
+`shared_map` (what the robots remember), `sensing` (what they see), `furniture`, `distance` and
+`random`.
 """

@@ -24,6 +24,7 @@ def neighbours(matrix: Tensor, outside: bool | int) -> Tensor:
     )
 
 
+@torch.compiler.disable  # as long a loop as the way is; compiled code calls it as it is
 def walking_distance(
     passable: Bool[Tensor, "*batch height width"], sources: Bool[Tensor, "*batch height width"]
 ) -> Int[Tensor, "*batch height width"]:

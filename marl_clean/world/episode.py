@@ -1,7 +1,5 @@
 """How an episode starts: a house, places to start from, what is known of it (paper §3.4)."""
 
-from typing import NamedTuple
-
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
@@ -9,74 +7,28 @@ from torch import Tensor
 from marl_clean.settings import LARGEST_SIDE, HouseOrder, Knowledge, Memory, Sensor
 from marl_clean.world.dynamics import touch_
 from marl_clean.world.furniture import inside_house, shift_piece
-from marl_clean.world.random import Purpose, Seed, random_below, random_bits
+from marl_clean.world.random import Purpose, random_below, random_bits
 from marl_clean.world.rules import Rules
+from marl_clean.world.setup import HouseTensors, Setup
 from marl_clean.world.shared_map import MEMORISED_BLOCKED, MEMORISED_FREE, UNKNOWN_RECORD
 from marl_clean.world.state import State, cell_index
 
 
-class HouseTensors(NamedTuple):
-    """The houses episodes draw from, padded by `margin` blocked cells on every side."""
+def begin(setup: Setup, episode: Int[Tensor, " env"]) -> State:
+    """Return the worlds of `setup` at step 0 of their episodes, starts cleaned.
 
-    blocked: Bool[Tensor, "house height width"]
-    piece: Int[Tensor, "house height width"]  # int16
-    num_pieces: Int[Tensor, " house"]
-    rows: Int[Tensor, " house"]
-    cols: Int[Tensor, " house"]
-    free_labels: Int[Tensor, "house most"]  # row * LARGEST_SIDE + col of free cells, -1 beyond
-    num_free: Int[Tensor, " house"]
-    max_steps: Int[Tensor, " house"]
-    starts: Int[Tensor, "house agent 2"]  # (row, col) given by the plan, -1 where drawn
-
-
-class FurnitureMoves(NamedTuple):
-    """How often somebody moves furniture."""
-
-    during_episode: int = 0
-    before_start: int = 0  # after the robots memorised the house (`knowledge=stale`)
-
-
-def begin(
-    houses: HouseTensors,
-    env_index: Int[Tensor, " env"],
-    episode: Int[Tensor, " env"],
-    seed: Seed,
-    order: HouseOrder,
-    num_open: int,
-    furniture: FurnitureMoves,
-    rules: Rules,
-) -> State:
-    """Return the worlds `env_index` at step 0 of their episodes, starts cleaned.
-
-    A pure function of (seed, env index, episode): no other world has a part in it. Drawn houses
-    are among the first `num_open`.
+    A pure function of (seed, env index, episode): no other world has a part in it.
     """
-    num_houses, height, width = houses.blocked.shape
+    rules, houses = setup.rules, setup.houses
+    _, height, width = houses.blocked.shape
     n_agents = houses.starts.shape[1]
-    if order is HouseOrder.FIXED:
-        house = env_index % num_houses
-    else:
-        house = random_below(num_open, seed, env_index, episode, Purpose.HOUSE)
+    house = draw_house(setup, episode)
     num_envs = len(house)
-    blocked, piece = houses.blocked[house], houses.piece[house]
     num_maps = 1 if rules.memory is Memory.SHARED else n_agents
     record = _memorised(houses, house, rules) if rules.knowledge is not Knowledge.UNKNOWN else None
+    blocked, piece = houses.blocked[house], houses.piece[house]
     if rules.knowledge is Knowledge.STALE:
-        moves = draw_furniture_moves(
-            houses, house, env_index, episode, seed, furniture.before_start, before_start=True
-        )
-        inside = inside_house(houses.rows[house], houses.cols[house], height, width, rules.margin)
-        given = cell_index(houses.starts[house], rules.margin, width).clamp(min=0)
-        starts = torch.zeros_like(blocked).flatten(1).scatter(1, given, True).view_as(blocked)
-        for move in range(furniture.before_start):
-            blocked, piece = shift_piece(
-                blocked,
-                piece,
-                inside,
-                starts,
-                moves[:, move, 1],
-                moves[:, move, 2],
-            )
+        blocked, piece = _rearranged(setup, house, episode)
     zeros = torch.zeros_like(house)
     flags = torch.zeros((num_envs, n_agents), dtype=torch.bool, device=house.device)
     state = State(
@@ -88,12 +40,12 @@ def begin(
         num_free=houses.num_free[house],
         max_steps=houses.max_steps[house],
         furniture_moves=draw_furniture_moves(
-            houses, house, env_index, episode, seed, furniture.during_episode, before_start=False
+            setup, house, episode, setup.furniture.during_episode, before_start=False
         ),
         episode=episode,
         step=zeros,
         last_progress=zeros,
-        position=draw_starts(houses, house, blocked, env_index, episode, seed, rules),
+        position=draw_starts(setup, house, blocked, episode),
         record=torch.full((num_envs, num_maps, height, width), UNKNOWN_RECORD, device=house.device),
         visited=torch.zeros_like(blocked),
         num_visited=zeros + n_agents,
@@ -110,20 +62,25 @@ def begin(
     return state
 
 
+def draw_house(setup: Setup, episode: Int[Tensor, " env"]) -> Int[Tensor, " env"]:
+    """Return which house each world plays: a drawn one of the open ones, or its own always."""
+    if setup.house_order is HouseOrder.FIXED:
+        return setup.env_index % len(setup.houses.blocked)
+    return random_below(setup.num_open, setup.seed, setup.env_index, episode, Purpose.HOUSE)
+
+
 def draw_starts(
-    houses: HouseTensors,
+    setup: Setup,
     house: Int[Tensor, " env"],
     blocked: Bool[Tensor, "env height width"],
-    env_index: Int[Tensor, " env"],
     episode: Int[Tensor, " env"],
-    seed: Seed,
-    rules: Rules,
 ) -> Int[Tensor, "env agent 2"]:
-    """Place the robots on distinct free cells: where the plan says, else drawn uniformly.
+    """Place the robots on distinct free cells: where the house says, else drawn uniformly.
 
     The n free cells with the highest random words. A word is drawn for the cell's place in the
     house and ends with it: padding has no part in it, and no two are equal.
     """
+    houses, rules = setup.houses, setup.rules
     n_agents = houses.starts.shape[1]
     given = houses.starts[house]
     is_given = (given >= 0).all(-1)
@@ -137,7 +94,8 @@ def draw_starts(
     taken = torch.where(is_given, given[..., 0] * LARGEST_SIDE + given[..., 1], -1)
     usable = (label >= 0) & (label[:, :, None] != taken[:, None, :]).all(-1)
     label = torch.where(usable, label, 0)
-    word = random_bits(seed, env_index[:, None], episode[:, None], Purpose.START, label)
+    words = (setup.env_index[:, None], episode[:, None], Purpose.START, label)
+    word = random_bits(setup.seed, *words)
     key = torch.where(usable, word * LARGEST_SIDE**2 + label, -1)
     best = key.topk(n_agents, dim=1).values % LARGEST_SIDE**2
     drawn = torch.stack([best // LARGEST_SIDE, best % LARGEST_SIDE], -1)
@@ -145,11 +103,9 @@ def draw_starts(
 
 
 def draw_furniture_moves(
-    houses: HouseTensors,
+    setup: Setup,
     house: Int[Tensor, " env"],
-    env_index: Int[Tensor, " env"],
     episode: Int[Tensor, " env"],
-    seed: Seed,
     count: int,
     before_start: bool,
 ) -> Int[Tensor, "env move 3"]:
@@ -159,13 +115,31 @@ def draw_furniture_moves(
     """
     if count == 0:
         return torch.zeros((len(house), 0, 3), dtype=torch.int64, device=house.device)
+    houses, seed = setup.houses, setup.seed
     counter = torch.arange(count, device=house.device)[None, :] * 6 + 3 * before_start
-    words = (env_index[:, None], episode[:, None], Purpose.FURNITURE)
+    words = (setup.env_index[:, None], episode[:, None], Purpose.FURNITURE)
     step = 1 + random_below(houses.num_free[house, None], seed, *words, counter)
     piece = 1 + random_below(houses.num_pieces[house, None], seed, *words, counter + 1)
     piece = torch.where(houses.num_pieces[house, None] > 0, piece, 0)
     direction = random_below(4, seed, *words, counter + 2)
     return torch.stack([step, piece, direction.expand_as(step)], -1)
+
+
+def _rearranged(
+    setup: Setup, house: Int[Tensor, " env"], episode: Int[Tensor, " env"]
+) -> tuple[Bool[Tensor, "env height width"], Int[Tensor, "env height width"]]:
+    """Return (blocked, piece) after the moves since the robots memorised the house."""
+    houses, count, margin = setup.houses, setup.furniture.before_start, setup.rules.margin
+    blocked, piece = houses.blocked[house], houses.piece[house]
+    height, width = blocked.shape[1:]
+    moves = draw_furniture_moves(setup, house, episode, count, before_start=True)
+    inside = inside_house(houses.rows[house], houses.cols[house], height, width, margin)
+    given = cell_index(houses.starts[house], margin, width).clamp(min=0)
+    starts = torch.zeros_like(blocked).flatten(1).scatter(1, given, True).view_as(blocked)
+    for move in range(count):
+        which, direction = moves[:, move, 1], moves[:, move, 2]
+        blocked, piece = shift_piece(blocked, piece, inside, starts, which, direction)
+    return blocked, piece
 
 
 def _memorised(houses: HouseTensors, house: Int[Tensor, " env"], rules: Rules) -> Tensor:

@@ -16,6 +16,7 @@ from marl_clean.channel.base import Channel
 from marl_clean.config.class_source import takes
 from marl_clean.config.schema import instantiate
 from marl_clean.learning.networks import QNetwork
+from marl_clean.observation.crop import Crop
 from tests.comm.contract import DILUTED, LEVELS, VARIANTS, draw, make
 
 CONF = Path(__file__).parents[2] / "conf"
@@ -48,7 +49,7 @@ def main() -> None:
 
 def check(level: str, changes: dict, channels: dict[str, dict], memory: str, backend: str) -> None:
     section = OmegaConf.merge(OmegaConf.load(CONF / "encoder" / "cnn.yaml"), {"memory": memory})
-    encoder = instantiate(section, observation_shape=torch.Size([1, 15, 15]))
+    encoder = instantiate(section, observation_shape=torch.Size([1, 15, 15]), spread=Crop.spread)
     section = OmegaConf.merge(OmegaConf.load(CONF / "comm" / f"{level}.yaml"), changes)
     comm = make_comm(section, encoder.out_features, torch.Size([1, 15, 15]))
     ways = {name: way(name, tuple(comm.message_dims), some) for name, some in channels.items()}

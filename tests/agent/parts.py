@@ -14,6 +14,7 @@ from marl_clean.config.class_source import constant
 from marl_clean.config.schema import instantiate
 from marl_clean.encoder.cnn import Cnn
 from marl_clean.learning.agent import Agent
+from marl_clean.observation.crop import Crop
 
 CODES = torch.tensor([-1.0, -0.2, 0.0, 0.3, 0.5, 1.0])
 SIDE = 9
@@ -37,6 +38,7 @@ def make_encoder(side: int = SIDE, **changes) -> Cnn:
         "dropout": 0.0,
         "planes": True,
         "channels_last": True,
+        "spread": Crop.spread,
     }
     torch.manual_seed(0)
     return Cnn(torch.Size([1, side, side]), **(settings | changes))

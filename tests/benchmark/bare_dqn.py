@@ -136,7 +136,7 @@ class Bare:
 
 def build_agent(cfg, env) -> Iql:
     shape = env.observation_spec[keys.OBSERVATION].shape[2:]
-    encoder = instantiate(cfg.encoder, observation_shape=shape)
+    encoder = build.make_encoder(cfg, shape)
     comm = build.make_comm(cfg.comm, encoder.out_features, shape)
     return instantiate(cfg.agent, encoder=encoder, comm=comm)
 

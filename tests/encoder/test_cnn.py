@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from marl_clean.encoder.cnn import Cnn, spread_codes
+from marl_clean.encoder.cnn import Cnn
 from marl_clean.errors import BadInput
 
 CODES = torch.tensor([-1.0, -0.2, 0.0, 0.3, 0.5, 1.0])
@@ -20,6 +20,7 @@ def make(shape=(1, 15, 15), **changes) -> Cnn:
         "dropout": 0.0,
         "planes": True,
         "channels_last": True,
+        "spread": doubled,
     }
     torch.manual_seed(0)
     return Cnn(torch.Size(shape), **(settings | changes))
@@ -29,19 +30,20 @@ def squares(*shape: int) -> Tensor:
     return CODES[torch.randint(len(CODES), shape)]
 
 
-def test_each_code_lights_its_own_plane():
-    blocked, unknown, dirt, robot = spread_codes(CODES.reshape(1, 1, 6)).unbind(0)
-    assert blocked[0].tolist() == [1, 0, 0, 0, 0, 0]
-    assert unknown[0].tolist() == [0, 1, 0, 0, 0, 0]
-    assert dirt[0].tolist() == [0, 0, 1, pytest.approx(0.4), 0, 0]
-    assert robot[0].tolist() == [0, 0, 0, 0, 0, 1]
+def doubled(observation: Tensor) -> Tensor:
+    """Planes of somebody else's: what is positive, what is not, and further channels."""
+    code = observation[..., :1, :, :]
+    return torch.cat([code > 0, code <= 0, observation[..., 1:, :, :]], -3)
 
 
-def test_further_channels_follow_the_planes_unchanged():
-    observation = squares(2, 3, 2, 5, 5)
-    spread = spread_codes(observation)
-    assert spread.shape == (2, 3, 5, 5, 5)
-    assert torch.equal(spread[..., 4, :, :], observation[..., 1, :, :])
+def test_planes_are_what_the_observation_says():
+    observation = squares(4, 2, 2, 15, 15)
+    encoder = make(shape=(2, 15, 15))
+    assert encoder.convolutions[0].in_channels == 3
+    spread_before = make(shape=(3, 15, 15), planes=False)
+    spread_before.load_state_dict(encoder.state_dict())
+    assert torch.equal(spread_before(doubled(observation)), encoder(observation))
+    assert make(shape=(2, 15, 15), spread=None).convolutions[0].in_channels == 2
 
 
 @pytest.mark.parametrize("leading", [(), (3,), (2, 3)])

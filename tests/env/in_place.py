@@ -39,7 +39,7 @@ def main() -> None:
 
 def step(env: TransformedWorlds) -> Callable[[], object]:
     action = torch.zeros(env.base_env.state.moved.shape, dtype=torch.int64)
-    return lambda: env.base_env.play(action)
+    return lambda: env.base_env.step_worlds(action)
 
 
 def check(env: TransformedWorlds, call: Callable[[], object]) -> None:

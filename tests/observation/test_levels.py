@@ -89,7 +89,7 @@ def test_a_partial_reset_shows_what_a_whole_computation_does(level: str) -> None
     last = play(env, actions_for(6, 5))[-1].select(keys.AGENTS, *keys.ENDINGS)
     last["_reset"] = torch.tensor([False, True, False, False, True])[:, None]
     after = env.reset(last)
-    whole = env.transform[1].read(env.base_env.state)
+    whole = env.transform[1].read(env.base_env.state, env.base_env.setup)
     torch.testing.assert_close(after[keys.OBSERVATION], whole[keys.OBSERVATION], atol=1e-6, rtol=0)
 
 

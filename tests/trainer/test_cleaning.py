@@ -37,11 +37,11 @@ def train(folder, overrides, die_after: int | None = None) -> None:
     torch.manual_seed(cfg.seed)
     env = build.make_env(cfg)
     shape = env.observation_spec[keys.OBSERVATION].shape[2:]
-    encoder = instantiate(cfg.encoder, observation_shape=shape)
+    encoder = build.make_encoder(cfg, shape)
     comm = build.make_comm(cfg.comm, encoder.out_features, shape)
     agent = instantiate(cfg.agent, encoder=encoder, comm=comm)
     if die_after is not None:
-        step, played = env.base_env.play, 0
+        step, played = env.base_env.step_worlds, 0
 
         def dying(*arguments):
             nonlocal played
@@ -50,7 +50,7 @@ def train(folder, overrides, die_after: int | None = None) -> None:
                 raise Killed
             return step(*arguments)
 
-        env.base_env.play = dying
+        env.base_env.step_worlds = dying
     trainer = instantiate(cfg.trainer)
     assert isinstance(trainer, OffPolicy)
     trainer.train(env, agent, lambda policy: {"T_100": 1.0}, [Csv(folder)], folder)

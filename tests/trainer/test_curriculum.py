@@ -154,7 +154,7 @@ def train(folder: Path, die_after: int | None = None) -> CleaningEnv:
     torch.manual_seed(cfg.seed)
     env = build.make_env(cfg)
     agent = build.make_agent(cfg, env)
-    step, played = env.base_env.play, 0
+    step, played = env.base_env.step_worlds, 0
 
     def counted(*arguments):
         nonlocal played
@@ -163,7 +163,7 @@ def train(folder: Path, die_after: int | None = None) -> CleaningEnv:
             raise Killed
         return step(*arguments)
 
-    env.base_env.play = counted
+    env.base_env.step_worlds = counted
     trainer = instantiate(cfg.trainer)
     trainer.train(env, agent, lambda policy: {"T_100": 1.0}, [Csv(folder)], folder)
     return env.base_env

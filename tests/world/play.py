@@ -146,4 +146,4 @@ def believe(base: CleaningEnv, cases: list[Case]) -> None:
     if base.rules.sensor is Sensor.TOUCH4:
         touch_(state, base.rules)
     if base.rules.memory is Memory.MERGED:
-        state.record = merge_maps(state.record, base.contact(state, base.rules))
+        state.record = merge_maps(state.record, base.setup.contact(state, base.rules))
