@@ -2,6 +2,7 @@
 
 from bisect import bisect_right
 from pathlib import Path
+from typing import Any
 
 import torch
 from omegaconf import DictConfig
@@ -163,22 +164,26 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     check_fit(cfg)
     if cfg.get("parameter_budget") is not None:
         cfg = as_wide_as_allowed(cfg, env)
+    return instantiate(cfg.agent, **agent_parts(cfg, env))
+
+
+def agent_parts(cfg: DictConfig, env: TransformedEnv) -> dict[str, Any]:
+    """Build what a learner is made of and no setting says: networks' parts, and sizes of `env`."""
     seen = env.observation_spec[keys.OBSERVATION].shape[2:]
     encoder = make_encoder(cfg, seen)
     comm = make_comm(cfg.comm, encoder.out_features, seen)
-    told = {}
+    state: dict[str, Any] = {}
     if constant(cfg.agent._target_, "needs_state"):
-        told["state_shape"] = env.observation_spec[keys.STATE].shape[1:]
-    return instantiate(
-        cfg.agent,
-        **told,
-        encoder=encoder,
-        comm=comm,
-        channels=make_channels(cfg, tuple(comm.message_dims)),
-        n_agents=env.base_env.n_agents,
-        num_actions=env.full_action_spec[keys.ACTION].n,
-        device=cfg.device,
-    )
+        state["state_shape"] = env.observation_spec[keys.STATE].shape[1:]
+    return {
+        **state,
+        "encoder": encoder,
+        "comm": comm,
+        "channels": make_channels(cfg, tuple(comm.message_dims)),
+        "n_agents": env.base_env.n_agents,
+        "num_actions": env.full_action_spec[keys.ACTION].n,
+        "device": cfg.device,
+    }
 
 
 def as_wide_as_allowed(cfg: DictConfig, env: TransformedEnv) -> DictConfig:

@@ -12,6 +12,7 @@ is a function whose docstring is the promise. No contract knows a level of ours.
 """
 
 from marl_clean.testing._broken import ContractBroken
+from marl_clean.testing.agent import check_agent
 from marl_clean.testing.channel import check_channel, check_stack
 from marl_clean.testing.comm import check_comm
 from marl_clean.testing.encoder import check_encoder
@@ -23,6 +24,7 @@ from marl_clean.testing.topology import check_topology
 
 __all__ = [
     "ContractBroken",
+    "check_agent",
     "check_channel",
     "check_comm",
     "check_encoder",

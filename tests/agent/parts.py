@@ -27,6 +27,25 @@ SMALL = {
     "dgn": {"hidden": 24, "heads": 2, "head_dim": 8},
 }
 
+IQL = {
+    "double": True,
+    "dueling": True,
+    "n_steps": 3,
+    "gamma": 0.9,
+    "lr": 1e-3,
+    "lr_end": 1e-3,
+    "loss": "smooth_l1",
+    "max_grad_norm": 10.0,
+    "target_update": "soft",
+    "tau": 0.1,
+    "target_period": 3,
+    "eps_init": 1.0,
+    "eps_end": 0.05,
+    "annealing_fraction": 0.5,
+    "precision": "float32",
+    "augment": False,
+}
+
 
 def make_encoder(side: int = SIDE, **changes) -> Cnn:
     settings = {
@@ -53,27 +72,9 @@ def make_comm(level: str, encoder: Cnn, side: int = SIDE) -> Comm:
 
 
 def make_agent(comm: str = "plan", side: int = SIDE, encoder: Cnn | None = None, **changes) -> Iql:
-    settings = {
-        "double": True,
-        "dueling": True,
-        "n_steps": 3,
-        "gamma": 0.9,
-        "lr": 1e-3,
-        "lr_end": 1e-3,
-        "loss": "smooth_l1",
-        "max_grad_norm": 10.0,
-        "target_update": "soft",
-        "tau": 0.1,
-        "target_period": 3,
-        "eps_init": 1.0,
-        "eps_end": 0.05,
-        "annealing_fraction": 0.5,
-        "precision": "float32",
-        "augment": False,
-    }
     encoder = encoder or make_encoder(side)
     torch.manual_seed(2)
-    return Iql(encoder, make_comm(comm, encoder, side), **(settings | changes))
+    return Iql(encoder, make_comm(comm, encoder, side), **(IQL | changes))
 
 
 LEARNERS = sorted(path.stem for path in (compose.conf_folder() / "agent").glob("*.yaml"))

@@ -6,15 +6,18 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 from tensordict import TensorDict
+from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch.distributions import Categorical
 
 from marl_clean import keys
+from marl_clean.agent.iql import Iql
 from marl_clean.agent.vdn import Vdn
 from marl_clean.config import compose
 from marl_clean.config.class_source import constant
 from marl_clean.learning.deep_q import DeepQ
 from marl_clean.learning.ppo import Ppo
-from tests.agent.parts import LEARNERS, STATE_SHAPE, make_learner, transitions
+from marl_clean.testing import ContractBroken, check_agent
+from tests.agent.parts import IQL, LEARNERS, STATE_SHAPE, make_learner, transitions
 
 SCHEMES = sorted(path.stem for path in (compose.conf_folder() / "comm").glob("*.yaml"))
 
@@ -51,33 +54,70 @@ def batch_for(agent, count: int = 6, seed: int = 0) -> TensorDict:
 
 
 @pytest.mark.parametrize(("learner", "scheme"), fitting())
-def test_an_update_learns_the_same_from_the_same_and_goes_on_from_its_state(learner, scheme):
-    torch.manual_seed(3)
-    agent, twin = make_learner(learner, scheme), make_learner(learner, scheme)
-    batch, later = batch_for(agent, seed=0), batch_for(agent, seed=5)
-    before = copy.deepcopy(agent.network.state_dict())
-    torch.manual_seed(4)
-    measured = agent.update(batch.clone())
-    torch.manual_seed(4)
-    assert torch.equal(twin.update(batch.clone())["loss"], measured["loss"])
-    assert all(value.isfinite() for value in measured.values())
-    after = agent.network.state_dict()
-    assert any(not torch.equal(before[name], after[name]) for name in before)
-    other = make_learner(learner, scheme)
-    other.load_state_dict(copy.deepcopy(agent.state_dict()))
-    for one in (agent, other):
-        torch.manual_seed(6)
-        one.update(later.clone())
-    mine, theirs = agent.network.state_dict(), other.network.state_dict()
-    assert all(torch.equal(mine[name], theirs[name]) for name in mine)
+def test_the_contract(learner: str, scheme: str) -> None:
+    check_agent(learner, comm=scheme, precision="float32")
 
 
-@pytest.mark.parametrize("learner", LEARNERS)
-def test_a_policy_acts_on_what_robots_see(learner):
-    agent = make_learner(learner, "none" if learner == "central_dqn" else "plan")
-    seen = transitions(5).exclude("next")
-    action = agent.policy()(seen)[keys.ACTION]
-    assert action.shape == (5, 2) and action.dtype == torch.int64 and 0 <= action.min() <= 3
+@pytest.mark.parametrize("memory", ["encoder.memory=gru", "channel=delayed"])
+@pytest.mark.parametrize("learner", ["iql", "vdn", "qmix", "ippo", "mappo"])
+def test_the_contract_with_frames_in_a_row(learner: str, memory: str) -> None:
+    check_agent(learner, others=[memory], precision="float32")
+
+
+class Frozen(Iql):
+    def update(self, batch):
+        return {"loss": self._loss(self._frames_to_learn(batch))["loss"].detach()}
+
+
+class Forgetful(Iql):
+    def load_state_dict(self, state):
+        super().load_state_dict({**state, "optimiser": self._optimiser.state_dict()})
+
+
+class Copying(Iql):
+    def policy(self):
+        return copy.deepcopy(super().policy())
+
+
+class WithGraph(Iql):
+    def update(self, batch):
+        measured = super().update(batch)
+        weight = next(self.network.parameters())
+        return {**measured, "weight": weight.sum()}
+
+
+class Undrawn(Iql):
+    count = 0
+
+    def update(self, batch):
+        Undrawn.count += 1
+        batch["next", keys.REWARD] = batch["next", keys.REWARD] + Undrawn.count
+        return super().update(batch)
+
+
+class AllAlike(Iql):
+    def exploration(self, action_spec):
+        def same(action):
+            return action[..., :1].expand_as(action).clone()
+
+        module = TensorDictModule(same, in_keys=[keys.ACTION], out_keys=[keys.ACTION])
+        return TensorDictSequential(super().exploration(action_spec), module)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "broken"),
+    [
+        (Frozen, "an update moves no weight of the network"),
+        (Forgetful, "after an update from the same state, other weights, in .*: at"),
+        (Copying, "acts by other weights: at"),
+        (WithGraph, "update measures weight with its graph"),
+        (Undrawn, "from the same frames, another loss:"),
+        (AllAlike, "exploring, all robots act alike"),
+    ],
+)
+def test_the_contract_refuses(wrong: type[Iql], broken: str) -> None:
+    with pytest.raises(ContractBroken, match=f"^agent={wrong.__name__} .*{broken}"):
+        check_agent(wrong, **IQL)
 
 
 def team_loss(agent: Vdn, batch: TensorDict, mixed) -> torch.Tensor:
