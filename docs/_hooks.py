@@ -8,7 +8,8 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from marl_clean.commands.listing import claim
-from marl_clean.config.compose import PRESETS, SEVERAL, compose_config, conf_folder, groups, rooms
+from marl_clean.config.compose import compose_config
+from marl_clean.config.levels import PRESETS, SEVERAL, conf_folder, groups, rooms
 
 ROOMS = "<!-- table of rooms -->"
 SETTINGS = "<!-- tables of settings -->"

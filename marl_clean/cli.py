@@ -30,16 +30,11 @@ def train(arguments: argparse.Namespace) -> int:
 
         sweep.run(arguments.settings)
         return 0
-    from marl_clean.commands.checks import check_old_houses, check_plans, check_teams
-    from marl_clean.config.fitting import check_fit
-    from marl_clean.config.stored import RUNS, check_same_run, compose_for_training
+    from marl_clean.commands.checks import check_all
+    from marl_clean.config.stored import RUNS, compose_for_training
 
-    config = _checked(compose_for_training(arguments.settings))
-    check_fit(config)
-    check_plans(config)
-    check_teams(config)
-    check_old_houses(config)
-    check_same_run(config, RUNS / config.name)
+    config = compose_for_training(arguments.settings)
+    check_all(config, training=True)
     from marl_clean.commands import train as command
 
     command.main(config, RUNS / config.name)
@@ -48,13 +43,14 @@ def train(arguments: argparse.Namespace) -> int:
 
 def evaluate(arguments: argparse.Namespace) -> int:
     """measure checkpoint=RUN or planner=NAME on held-out houses or on a plan; intervention=all"""
-    from marl_clean.commands.checks import check_out
+    from marl_clean.commands.checks import check_all, check_out
     from marl_clean.config.config_hash import config_hash
     from marl_clean.config.stored import RUNS, compose_for_policy
 
     asked = [text.partition("=")[2] for text in arguments.settings if text.startswith(INTERVENE)]
     settings = [text for text in arguments.settings if not text.startswith(INTERVENE)]
-    config = _checked(compose_for_policy(settings))
+    config = compose_for_policy(settings)
+    check_all(config)
     if asked and config.checkpoint is None:
         raise BadInput(f"{INTERVENE}{asked[-1]}: needs checkpoint=RUN, whose messages to change")
     name = config.name
@@ -73,7 +69,8 @@ def watch(arguments: argparse.Namespace) -> int:
     """play one house in the terminal with checkpoint=RUN or planner=NAME"""
     from marl_clean.config.stored import compose_for_policy
 
-    config = _in_houses(compose_for_policy(arguments.settings))
+    config = compose_for_policy(arguments.settings)
+    _check_in_houses(config)
     from marl_clean.commands import watch as command
 
     command.main(config)
@@ -91,7 +88,8 @@ def figure(arguments: argparse.Namespace) -> int:
     if arguments.name in COMPARISONS:
         comparison.main(arguments.name, arguments.settings)
         return 0
-    config = _in_houses(compose_for_policy(arguments.settings))
+    config = compose_for_policy(arguments.settings)
+    _check_in_houses(config)
     from marl_clean.commands import figure as command
 
     command.main(arguments.name, config)
@@ -116,13 +114,14 @@ def matrix(arguments: argparse.Namespace) -> int:
 
 def benchmark(arguments: argparse.Namespace) -> int:
     """measure speed, into runs/benchmark.json"""
-    from marl_clean.commands.checks import check_compile, check_square_view
+    from marl_clean.commands.checks import check_all, check_shows_houses, check_square_view
     from marl_clean.config.compose import compose_config
 
-    config = _in_houses(compose_config(arguments.settings))
-    check_square_view(config, "benchmark")
+    config = compose_config(arguments.settings)
+    check_shows_houses(config)
     config.env.compile = True
-    check_compile(config)
+    check_all(config)
+    check_square_view(config, "benchmark")
     from marl_clean.commands import benchmark as command
 
     command.main(config)
@@ -250,21 +249,11 @@ def _usage() -> str:
     return USAGE.format(commands="\n".join(commands))
 
 
-def _checked(config: "DictConfig") -> "DictConfig":
-    from marl_clean.commands.checks import check_compile, check_device, check_house, check_optimum
-
-    check_optimum(config)
-    check_house(config)
-    check_device(config.device)
-    check_compile(config)
-    return config
-
-
-def _in_houses(config: "DictConfig") -> "DictConfig":
-    from marl_clean.commands.checks import check_shows_houses
+def _check_in_houses(config: "DictConfig") -> None:
+    from marl_clean.commands.checks import check_all, check_shows_houses
 
     check_shows_houses(config)
-    return _checked(config)
+    check_all(config)
 
 
 def _terminate(signum: int, frame: FrameType | None) -> NoReturn:

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from marl_clean.config import class_source, compose
+from marl_clean.config import class_source, compose, levels
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "marl_clean"
 CONF = ROOT / "conf"
-PRESETS = sorted(path for group in compose.PRESETS for path in CONF.glob(f"{group}/*.yaml"))
+PRESETS = sorted(path for group in levels.PRESETS for path in CONF.glob(f"{group}/*.yaml"))
 LEVELS = sorted(set(CONF.glob("*/*.yaml")) - set(PRESETS))
 
 # Rooms that hold nothing but levels; env/ is a workroom that has one.
@@ -160,4 +160,4 @@ def test_the_floor_rule_sees_an_import_upwards(tmp_path: Path) -> None:
 
 def test_the_defaults_name_every_room() -> None:
     sections = {key for key, value in compose.compose_config().items() if hasattr(value, "keys")}
-    assert sections == {*compose.rooms(), "evaluation"}
+    assert sections == {*levels.rooms(), "evaluation"}

@@ -12,7 +12,8 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from marl_clean import build, keys
-from marl_clean.config.compose import compose_config, rooms
+from marl_clean.config.compose import compose_config
+from marl_clean.config.levels import rooms
 from marl_clean.learning.agent import Agent
 
 REPEATS = 9

@@ -1,4 +1,8 @@
-"""What a config asks of the machine: its floor plan, its folders, its device."""
+"""What a config asks of its levels and of the machine: floor plan, folders, device.
+
+Every command that composes a config goes through `check_all`: a new check is added to one of the
+lists at the end of this file, and every command refuses what it refuses.
+"""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -7,8 +11,9 @@ from omegaconf import DictConfig
 
 from marl_clean.config.class_source import constant
 from marl_clean.config.compose import plays_houses
+from marl_clean.config.fitting import check_fit
 from marl_clean.config.schema import instantiate
-from marl_clean.config.stored import find_run, load_config
+from marl_clean.config.stored import RUNS, check_same_run, find_run, load_config
 from marl_clean.errors import BadInput
 from marl_clean.house.base import check_largest, draw_houses, split_seeds
 from marl_clean.house.floorplan import FloorPlan
@@ -113,8 +118,14 @@ def check_out(path: Path) -> None:
             return
 
 
-def check_device(device: str) -> None:
-    """Raises BadInput when torch cannot use `device`; asks torch only when it is not the cpu."""
+def check_run_folder(config: DictConfig) -> None:
+    """Raises BadInput when the folder of the run's name holds a run of another config."""
+    check_same_run(config, RUNS / config.name)
+
+
+def check_device(config: DictConfig) -> None:
+    """Raises BadInput when torch cannot use the device; asks torch only when it is not the cpu."""
+    device = config.device
     if device == "cpu":
         return
     import torch
@@ -139,3 +150,17 @@ def check_compile(config: DictConfig) -> None:
             f"env.compile=true: torch cannot compile where its path has a space, {torch.origin}; "
             "start Python by a link to its environment without one, or leave it out"
         )
+
+
+def check_all(config: DictConfig, training: bool = False, here: bool = True) -> None:
+    """Raises BadInput where a config cannot be used: by any command, or for `training`.
+
+    `here` says that it is this machine that will use it.
+    """
+    for check in (*CHECKS, *(OF_TRAINING if training else ()), *(OF_THE_MACHINE if here else ())):
+        check(config)
+
+
+CHECKS = [check_optimum, check_house]
+OF_TRAINING = [check_fit, check_plans, check_teams, check_old_houses, check_run_folder]
+OF_THE_MACHINE = [check_compile, check_device]

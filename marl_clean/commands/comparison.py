@@ -11,11 +11,12 @@ from pathlib import Path
 from omegaconf import DictConfig
 from rich.console import Console
 
-from marl_clean.commands.checks import check_compile, check_device, check_house, check_plans
+from marl_clean.commands.checks import check_all
 from marl_clean.commands.sweep import sweep_jobs
-from marl_clean.config.compose import BUDGET, EXPERIMENT, compose_config, parse_overrides
-from marl_clean.config.fitting import check_fit
-from marl_clean.config.stored import RUNS, check_same_run
+from marl_clean.config.compose import compose_parsed
+from marl_clean.config.levels import BUDGET, EXPERIMENT
+from marl_clean.config.overrides import parse_overrides
+from marl_clean.config.stored import RUNS
 from marl_clean.errors import BadInput
 
 
@@ -92,21 +93,16 @@ def jobs_of(name: str, settings: Sequence[str]) -> dict[str, list[DictConfig]]:
 
     Raises BadInput where a setting is wrong, or would make the rows something else.
     """
-    given = {override.key_or_group for override in parse_overrides(settings)}
+    given = {override.key for override in parse_overrides(settings)}
     for key in ("name", "checkpoint", EXPERIMENT):
         if key in given:
             raise BadInput(f"{key}: figure {name} trains runs of its own; leave it out")
     jobs = {}
     for label, row in COMPARISONS[name].rows.items():
         combined = sweep_jobs(parse_overrides([*row, *settings]))
-        jobs[label] = [compose_config(job) for job in combined]
+        jobs[label] = [compose_parsed(job) for job in combined]
         for config in jobs[label]:
-            check_house(config)
-            check_fit(config)
-            check_device(config.device)
-            check_compile(config)
-            check_plans(config)
-            check_same_run(config, RUNS / config.name)
+            check_all(config, training=True)
     return jobs
 
 
@@ -143,7 +139,7 @@ def main(name: str, settings: Sequence[str], console: Console | None = None) -> 
 
 def how_much(settings: Sequence[str], configs: Sequence[DictConfig]) -> str:
     """How long the runs of a row were trained and on how much they were measured, in words."""
-    budget = [o.value() for o in parse_overrides(settings) if o.key_or_group == BUDGET]
+    budget = [o.value for o in parse_overrides(settings) if o.key == BUDGET]
     config = configs[0]
     return (
         f"budget={budget[-1] if budget else 'as in the presets'}:"

@@ -10,7 +10,7 @@ from importlib import metadata, util
 from packaging.requirements import Requirement
 
 from marl_clean import __version__
-from marl_clean.config.compose import conf_folder
+from marl_clean.config.levels import conf_folder
 from marl_clean.errors import BadInput
 
 DISTRIBUTION = "marl-clean"

@@ -4,7 +4,7 @@ import ast
 from pathlib import Path
 
 from marl_clean.config.class_source import definition
-from marl_clean.config.compose import PRESETS, conf_folder, groups, rooms
+from marl_clean.config.levels import PRESETS, conf_folder, groups, rooms
 from marl_clean.config.stored import shipped_runs
 from marl_clean.storage.safe_yaml import load_yaml
 

@@ -12,6 +12,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from marl_clean.commands.checks import check_all
 from marl_clean.commands.labels import labels
 from marl_clean.config.compose import checked, compose_config
 from marl_clean.config.config_hash import OUTSIDE_THE_HASH
@@ -52,6 +53,9 @@ def main(
     """
     groups = gather(runs)
     tested = {text: section_of(text) for text in channels} or trained_over(groups)
+    for trained in groups.values():
+        for section in tested.values():
+            over(trained.config, section, houses)  # all are checked before one is measured
     from marl_clean import build
     from marl_clean.commands.compare import pooled
     from marl_clean.evaluation.evaluator import as_ever, measure
@@ -131,7 +135,9 @@ def over(config: dict[str, Any], channel: DictConfig, houses: int | None) -> Dic
     changed["evaluation"] = {**config["evaluation"], "house_set": "test"}
     if houses is not None:
         changed["evaluation"]["houses"] = houses
-    return checked(changed)
+    measured = checked(changed)
+    check_all(measured)
+    return measured
 
 
 def make_matrix(cells: Mapping[tuple[str, str], Entry]) -> Table:

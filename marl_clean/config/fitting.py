@@ -5,7 +5,7 @@ from typing import Any
 from omegaconf import DictConfig
 
 from marl_clean.config.class_source import constant
-from marl_clean.config.compose import SEVERAL, conf_folder, rooms
+from marl_clean.config.levels import SEVERAL, level_file, rooms
 from marl_clean.errors import BadInput
 from marl_clean.settings import Form
 from marl_clean.storage.safe_yaml import load_yaml
@@ -44,8 +44,7 @@ def check_fit(config: DictConfig) -> None:
 
 def encoders_of(form: Form) -> list[str]:
     """The encoders that take a form of observation."""
-    folder = conf_folder() / "encoder"
-    sections = ((level, load_yaml(folder / f"{level}.yaml")) for level in rooms()["encoder"])
+    sections = ((level, load_yaml(level_file("encoder", level))) for level in rooms()["encoder"])
     return [level for level, section in sections if constant(section["_target_"], "takes") is form]
 
 

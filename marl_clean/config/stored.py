@@ -9,22 +9,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig
 
 from marl_clean.config.class_source import constant, parameters
-from marl_clean.config.compose import (
-    PERFECT,
-    PRESETS,
-    apply,
-    checked,
-    compose_config,
-    conf_folder,
-    parse_overrides,
-    rooms,
-)
+from marl_clean.config.compose import PERFECT, apply, checked, compose_parsed
 from marl_clean.config.config_hash import config_hash
+from marl_clean.config.hydra_adapter import Override
+from marl_clean.config.levels import PRESETS, conf_folder, level_file, rooms
 from marl_clean.config.locate import own
+from marl_clean.config.overrides import parse_overrides
 from marl_clean.config.schema import mismatch
 from marl_clean.errors import BadInput
 from marl_clean.settings import LaterEvaluation, Root
@@ -48,8 +41,8 @@ def compose_for_policy(overrides: Sequence[str]) -> DictConfig:
     parsed = parse_overrides(overrides)
     run = _checkpoint_in(parsed)
     if run is None:
-        return compose_config(overrides)
-    for preset in (o.key_or_group for o in parsed if o.key_or_group in PRESETS):
+        return compose_parsed(parsed)
+    for preset in (o.key for o in parsed if o.key in PRESETS):
         raise BadInput(f"{preset}: a checkpoint brings its own config; leave one of them out")
     stored = load_config(find_run(run))
     wanted = apply(stored, parsed)
@@ -67,10 +60,14 @@ def compose_for_training(overrides: Sequence[str]) -> DictConfig:
 
     Raises BadInput as `compose_for_policy` does, and for a run that has no weights yet.
     """
-    parsed = parse_overrides(overrides)
+    return parsed_for_training(parse_overrides(overrides))
+
+
+def parsed_for_training(parsed: Sequence[Override]) -> DictConfig:
+    """`compose_for_training` of settings that have been read already."""
     run = _checkpoint_in(parsed)
     if run is None:
-        config = compose_config(overrides)
+        config = compose_parsed(parsed)
         if config.checkpoint is None:
             return config
         run = config.checkpoint
@@ -84,7 +81,7 @@ def compose_for_training(overrides: Sequence[str]) -> DictConfig:
 
 def _checkpoint_in(parsed: Sequence[Override]) -> str | None:
     """The run that the settings name, the last of several."""
-    given = [override.value() for override in parsed if override.key_or_group == "checkpoint"]
+    given = [override.value for override in parsed if override.key == "checkpoint"]
     return None if not given or given[-1] is None else str(given[-1])
 
 
@@ -178,7 +175,7 @@ def _completed(plain: dict[str, Any]) -> dict[str, Any]:
         target = str(section.get("_target_"))
         parts = target.split(".")
         if len(parts) == 4 and parts[1] == room and parts[2] in levels:
-            level = load_yaml(conf_folder() / room / f"{parts[2]}.yaml")
+            level = load_yaml(level_file(room, parts[2]))
             accepted = parameters(target)
             optional = [name for name in accepted if name in level and not accepted[name].required]
             whole[room] = {**{name: level[name] for name in optional}, **section}

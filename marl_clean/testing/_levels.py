@@ -10,8 +10,9 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from marl_clean.config import schema
-from marl_clean.config.compose import SEVERAL, compose_config
+from marl_clean.config.compose import compose_config
 from marl_clean.config.config_hash import container
+from marl_clean.config.levels import SEVERAL
 from marl_clean.errors import BadInput
 
 Level = str | type

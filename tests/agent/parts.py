@@ -9,7 +9,7 @@ from marl_clean import keys
 from marl_clean.agent.iql import Iql
 from marl_clean.build import make_comm as build_comm
 from marl_clean.comm.base import Comm
-from marl_clean.config import compose
+from marl_clean.config import levels
 from marl_clean.config.class_source import constant
 from marl_clean.config.schema import instantiate
 from marl_clean.encoder.cnn import Cnn
@@ -66,7 +66,7 @@ def make_encoder(side: int = SIDE, **changes) -> Cnn:
 def make_comm(level: str, encoder: Cnn, side: int = SIDE) -> Comm:
     torch.manual_seed(1)
     section = OmegaConf.merge(
-        OmegaConf.load(compose.conf_folder() / "comm" / f"{level}.yaml"), SMALL.get(level, {})
+        OmegaConf.load(levels.conf_folder() / "comm" / f"{level}.yaml"), SMALL.get(level, {})
     )
     return build_comm(section, encoder.out_features, torch.Size([1, side, side]))
 
@@ -77,13 +77,13 @@ def make_agent(comm: str = "plan", side: int = SIDE, encoder: Cnn | None = None,
     return Iql(encoder, make_comm(comm, encoder, side), **(IQL | changes))
 
 
-LEARNERS = sorted(path.stem for path in (compose.conf_folder() / "agent").glob("*.yaml"))
+LEARNERS = sorted(path.stem for path in (levels.conf_folder() / "agent").glob("*.yaml"))
 
 
 def make_learner(level: str, comm: str, **changes) -> Agent:
     """A learner by its yaml, with a small network for two robots."""
     encoder = make_encoder()
-    section = OmegaConf.load(compose.conf_folder() / "agent" / f"{level}.yaml")
+    section = OmegaConf.load(levels.conf_folder() / "agent" / f"{level}.yaml")
     section = OmegaConf.create({**section, "precision": "float32"})
     parts = {"encoder": encoder, "comm": make_comm(comm, encoder), "channels": {}}
     parts |= {"n_agents": 2, "num_actions": 4}

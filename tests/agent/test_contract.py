@@ -12,20 +12,20 @@ from torch.distributions import Categorical
 from marl_clean import keys
 from marl_clean.agent.iql import Iql
 from marl_clean.agent.vdn import Vdn
-from marl_clean.config import compose
+from marl_clean.config import levels
 from marl_clean.config.class_source import constant
 from marl_clean.learning.deep_q import DeepQ
 from marl_clean.learning.ppo import Ppo
 from marl_clean.testing import ContractBroken, check_agent
 from tests.agent.parts import IQL, LEARNERS, STATE_SHAPE, make_learner, transitions
 
-SCHEMES = sorted(path.stem for path in (compose.conf_folder() / "comm").glob("*.yaml"))
+SCHEMES = sorted(path.stem for path in (levels.conf_folder() / "comm").glob("*.yaml"))
 
 
 def fitting() -> list[tuple[str, str]]:
     pairs = []
     for learner in LEARNERS:
-        target = OmegaConf.load(compose.conf_folder() / "agent" / f"{learner}.yaml")["_target_"]
+        target = OmegaConf.load(levels.conf_folder() / "agent" / f"{learner}.yaml")["_target_"]
         valid = (constant(target, "fits") or {}).get("comm", SCHEMES)
         pairs += [(learner, scheme) for scheme in valid]
     return pairs

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from marl_clean.channel.base import Channel
-from marl_clean.config.compose import rooms
+from marl_clean.config.levels import rooms
 from marl_clean.testing._levels import maker
 
 LEVELS = rooms()["channel"]

@@ -12,7 +12,7 @@ from torch import Tensor
 from marl_clean.channel.base import Channel
 from marl_clean.comm.base import Comm, Talk
 from marl_clean.config.class_source import takes
-from marl_clean.config.compose import rooms
+from marl_clean.config.levels import rooms
 from marl_clean.config.schema import instantiate
 from marl_clean.encoder.base import Encoder
 from marl_clean.learning.networks import RobotsNetwork

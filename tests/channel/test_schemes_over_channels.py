@@ -7,7 +7,7 @@ from torch import Tensor
 from marl_clean.channel.base import Channel
 from marl_clean.comm.base import Comm
 from marl_clean.comm.commnet import CommNet
-from marl_clean.config.compose import rooms
+from marl_clean.config.levels import rooms
 from tests.channel.played import (
     LEVELS,
     NEUTRAL,

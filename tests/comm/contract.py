@@ -3,7 +3,7 @@
 from typing import Any
 
 from marl_clean.comm.base import Comm
-from marl_clean.config.compose import rooms
+from marl_clean.config.levels import rooms
 from marl_clean.testing._graphs import FEATURES, draw, line, within
 from marl_clean.testing._levels import Maker, maker
 from marl_clean.testing.comm import make_scheme

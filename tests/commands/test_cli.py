@@ -11,13 +11,17 @@ from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 import pytest
+from omegaconf import DictConfig, OmegaConf
 
 from marl_clean import __version__, cli
 from marl_clean.commands import checks, listing
 from marl_clean.commands.sweep import named_jobs
-from marl_clean.config.compose import conf_folder, parse_overrides, rooms
+from marl_clean.config.compose import compose_config
+from marl_clean.config.levels import conf_folder, rooms
+from marl_clean.config.overrides import parse_overrides
 from marl_clean.config.presets import sweep_of
 from marl_clean.config.stored import load_config
+from marl_clean.errors import BadInput
 
 SWEEPING = [
     path.stem for path in sorted((conf_folder() / "experiment").glob("*.yaml")) if sweep_of(path)
@@ -53,6 +57,11 @@ MORE_BAD_COMMANDS = {
     "train house=rooms house.rows=[3,3] house.cols=[3,3]": "house.rows",
     "train -m seed=1,x": "seed",
     "train -m seed=interval(0,1)": "seed",
+    "train -m hydra/launcher=joblib": "pip install hydra-joblib-launcher",
+    "train -m hydra/launcher=nope": "hydra/launcher=nope: no such level; valid: basic",
+    "train -m hydra.nope=1": "hydra.nope: no such key of Hydra's",
+    "train -m hydra.job.nam=x seed=1": "did you mean name?",
+    "train -m hydra/launcher=basic,joblib": "takes one value",
     "train -m comm=plan,plam": "did you mean plan?",
     "train -m +experiment=comm_comparison,quick": "experiment: comm_comparison is a sweep",
     "train evaluation.team_sizes=[2,0]": "evaluation.team_sizes",
@@ -124,6 +133,47 @@ def test_a_device_that_is_not_there(place: Path, capsys: pytest.CaptureFixture[s
     assert cli.main(["train", "device=cuda:99"]) == cli.BAD_INPUT
     assert "device=cuda:99: not on this machine; valid: cpu" in capsys.readouterr().err
     assert not Path("runs").exists()
+
+
+COMPOSING = [
+    "train",
+    "train -m seed=1,2",
+    "evaluate",
+    "watch",
+    "figure paper_1",
+    "figure single",
+    "benchmark",
+    "matrix RUN",
+]
+
+
+@pytest.mark.parametrize("command", COMPOSING)
+def test_every_command_refuses_what_one_check_refuses(
+    command: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def planted(config: DictConfig) -> None:
+        raise BadInput("planted: refused")
+
+    (place / "RUN").mkdir()
+    OmegaConf.save(compose_config(["name=mine"]), place / "RUN" / "config.yaml")
+    monkeypatch.setattr(checks, "CHECKS", [planted])
+    assert cli.main(command.split()) == cli.BAD_INPUT
+    assert capsys.readouterr().err == "marl-clean: planted: refused\n"
+    assert files_in(place) == {"RUN", "walls.txt", "broken.yaml"}
+
+
+def test_commands_that_check_are_all_that_compose() -> None:
+    without = {"list", "doctor", "compare"}
+    assert {command.split()[0] for command in COMPOSING} == cli.COMMANDS.keys() - without
+
+
+@pytest.mark.parametrize("command", ["train", "train -m seed=1,2", "figure single"])
+def test_the_optimum_without_or_tools_is_refused_before_training(
+    command: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(checks, "find_spec", lambda name: None)
+    assert cli.main([*command.split(), "evaluation.optimum=true"]) == cli.BAD_INPUT
+    assert "needs OR-tools" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", ["benchmark", "watch planner=random env.compile=true"])

@@ -10,7 +10,7 @@ from hydra import initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
 from marl_clean import settings
-from marl_clean.config import class_source, compose, schema
+from marl_clean.config import class_source, levels, schema
 from marl_clean.config.compose import compose_config
 from marl_clean.config.config_hash import config_hash
 from marl_clean.config.stored import check_same_run, compose_for_policy
@@ -22,8 +22,8 @@ def keys_and_types(config: DictConfig) -> dict[str, typing.Any]:
     found = dict(typing.get_type_hints(settings.Root, include_extras=True))
     evaluation = typing.get_type_hints(settings.Evaluation, include_extras=True)
     found |= {f"evaluation.{name}": annotation for name, annotation in evaluation.items()}
-    sections = {room: config[room] for room in compose.rooms() if room not in compose.SEVERAL}
-    for room in compose.SEVERAL:
+    sections = {room: config[room] for room in levels.rooms() if room not in levels.SEVERAL}
+    for room in levels.SEVERAL:
         sections |= {f"{room}.{name}": section for name, section in config[room].items()}
     for name, section in sections.items():
         accepted = class_source.parameters(section["_target_"])
@@ -41,7 +41,7 @@ CONFIG = compose_config()
 KEYS = keys_and_types(CONFIG)
 WRONG_TYPE = [f"{key}={wrong_value(annotation)}" for key, annotation in KEYS.items()]
 MISSPELT = {key.rpartition(".")[0]: f"{key}x=1" for key in KEYS}.values()  # one a section
-WRONG_LEVEL = [f"{room}=nowhere" for room in [*compose.rooms(), *compose.PRESETS]]
+WRONG_LEVEL = [f"{room}=nowhere" for room in [*levels.rooms(), *levels.PRESETS]]
 OUT_OF_RANGE = [
     "seed=-1",
     "seed=1.5",
@@ -145,7 +145,7 @@ def test_of_two_problems_the_one_that_was_asked_for_is_named() -> None:
 
 @pytest.mark.parametrize("override", ["experiment={}", "+experiment={}"])
 def test_a_preset_may_have_a_plus_or_not(override: str) -> None:
-    preset = sorted((compose.conf_folder() / "experiment").glob("*.yaml"))[0].stem
+    preset = sorted((levels.conf_folder() / "experiment").glob("*.yaml"))[0].stem
     assert compose_config([override.format(preset)]).name.startswith(f"{preset}-")
 
 

@@ -7,8 +7,9 @@ import torch
 from omegaconf import DictConfig
 
 from marl_clean import build, cli
-from marl_clean.config.compose import compose_config, rooms
+from marl_clean.config.compose import compose_config
 from marl_clean.config.config_hash import config_hash
+from marl_clean.config.levels import rooms
 from marl_clean.errors import BadInput
 
 SMALL = ["train_houses=4", "env.num_envs=2", "house.rows=[5,5]", "house.cols=[5,5]"]

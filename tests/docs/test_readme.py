@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from marl_clean.config.compose import compose_config, groups, rooms
+from marl_clean.config.compose import compose_config
+from marl_clean.config.levels import groups, rooms
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from marl_clean.config.compose import groups, rooms
+from marl_clean.config.levels import groups, rooms
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

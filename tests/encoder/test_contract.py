@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from marl_clean.config.compose import rooms
+from marl_clean.config.levels import rooms
 from marl_clean.encoder.base import Encoder
 from marl_clean.settings import Form
 from marl_clean.testing import ContractBroken, check_encoder

@@ -6,7 +6,8 @@ from tensordict import TensorDictBase
 from torchrl.envs import StepCounter, TransformedEnv
 
 from marl_clean import build, keys
-from marl_clean.config.compose import compose_config, rooms
+from marl_clean.config.compose import compose_config
+from marl_clean.config.levels import rooms
 from marl_clean.env.transformed import TransformedWorlds
 
 SMALL = [

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from marl_clean.config.compose import rooms
+from marl_clean.config.levels import rooms
 from marl_clean.house.base import House, HouseLayout
 from marl_clean.testing import ContractBroken, check_house
 

@@ -9,8 +9,9 @@ from torchrl.envs import check_env_specs
 from marl_clean import keys
 from marl_clean.build import make_agent, make_env
 from marl_clean.config.class_source import constant, parameters
-from marl_clean.config.compose import compose_config, rooms
+from marl_clean.config.compose import compose_config
 from marl_clean.config.fitting import encoders_of
+from marl_clean.config.levels import rooms
 from marl_clean.errors import BadInput
 from marl_clean.house.base import draw_houses
 from marl_clean.house.open import Open

@@ -2,7 +2,7 @@
 
 import pytest
 
-from marl_clean.config.compose import rooms
+from marl_clean.config.levels import rooms
 from marl_clean.reward.individual import Individual
 from marl_clean.testing import ContractBroken, check_reward
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from marl_clean.config.compose import rooms
+from marl_clean.config.levels import rooms
 from marl_clean.testing import ContractBroken, check_topology
 from marl_clean.topology.base import Topology
 

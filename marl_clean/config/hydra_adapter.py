@@ -1,0 +1,188 @@
+"""All that this package asks of Hydra: to read settings, to compose a config, to launch jobs.
+
+Nothing else imports Hydra, whose inner modules move between its versions.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from hydra import compose as hydra_compose
+from hydra import version
+from hydra._internal.callbacks import Callbacks
+from hydra._internal.hydra import Hydra
+from hydra._internal.utils import create_config_search_path
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import OverrideType
+from hydra.core.plugins import Plugins
+from hydra.errors import HydraException
+from hydra.initialize import get_gh_backup, restore_gh_from_backup
+from hydra.types import HydraContext, RunMode
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+
+from marl_clean.config.locate import packages
+from marl_clean.config.schema import choices
+from marl_clean.errors import BadInput
+
+VERSION_BASE = "1.3"
+CONFIG_NAME = "config"
+LAUNCHERS = {  # what to install for those that Hydra does not bring
+    "joblib": "hydra-joblib-launcher",
+    "ray": "hydra-ray-launcher",
+    "ray_aws": "hydra-ray-launcher",
+    "rq": "hydra-rq-launcher",
+    "submitit_local": "hydra-submitit-launcher",
+    "submitit_slurm": "hydra-submitit-launcher",
+}
+
+
+@dataclass(frozen=True)
+class Override:
+    """One setting: its key, its value as written, and that value or the values of a sweep."""
+
+    key: str
+    text: str
+    value: Any  # None of a sweep
+    is_sweep: bool
+    values: tuple[str, ...]  # of a sweep that has an end, each as one would write it
+    of_hydra: bool
+
+    @property
+    def setting(self) -> str:
+        """KEY=VALUE, as one would write it."""
+        return f"{self.key}={self.text}"
+
+
+class Unreadable(Exception):
+    """A text that is no setting in Hydra's grammar."""
+
+
+class NotPlain(Exception):
+    """A setting that adds, moves or deletes a key."""
+
+
+class NotComposed(Exception):
+    """What Hydra says of settings that make no config, in a line."""
+
+
+def parse(text: str) -> Override:
+    """Read a setting. Raises Unreadable or NotPlain where it is no KEY=VALUE."""
+    try:
+        [parsed] = OverridesParser.create().parse_overrides([text])
+    except HydraException:
+        raise Unreadable(text) from None
+    if not parsed.key_or_group:
+        raise Unreadable(text)
+    if parsed.type is not OverrideType.CHANGE or parsed.package is not None:
+        raise NotPlain(text)
+    is_sweep = parsed.is_sweep_override()
+    return Override(
+        key=parsed.key_or_group,
+        text=text.partition("=")[2],
+        value=None if is_sweep else parsed.value(),
+        is_sweep=is_sweep,
+        values=tuple(parsed.sweep_string_iterator()) if parsed.is_discrete_sweep() else (),
+        of_hydra=parsed.is_hydra_override(),
+    )
+
+
+def compose(overrides: Sequence[Override]) -> DictConfig:
+    """The defaults of the packages' yaml files with settings on top. Raises NotComposed."""
+    with _hydra():
+        try:
+            return hydra_compose(CONFIG_NAME, [override.setting for override in overrides])
+        except HydraException as error:
+            raise NotComposed(first_line(error)) from None
+
+
+def check_launching(overrides: Sequence[Override]) -> None:
+    """Raises BadInput where settings of Hydra's own name a level or a key that it has not."""
+    with _hydra() as hydra:
+        for override in overrides:
+            if override.is_sweep:
+                raise BadInput(f"{override.key}: is Hydra's own and takes one value")
+            if "/" in override.key:
+                _check_level(override, hydra.config_loader.get_group_options(override.key))
+        levels = [override for override in overrides if "/" in override.key]
+        known: Any = _for_launching(hydra, levels)
+        for override in overrides:
+            if "/" not in override.key:
+                _check_key(override.key, known)
+        _for_launching(hydra, overrides)
+
+
+def launch(
+    task: Callable[[DictConfig], None],
+    jobs: Sequence[Sequence[str]],
+    overrides: Sequence[Override],
+) -> None:
+    """Run `task` for every job, by the launcher that `overrides` choose and set.
+
+    Raises what the first job that failed raised, after all have run.
+    """
+    with _hydra() as hydra:
+        config = _for_launching(hydra, overrides)
+        launcher = Plugins.instance().instantiate_launcher(
+            hydra_context=HydraContext(hydra.config_loader, Callbacks(config)),
+            task_function=task,
+            config=config,
+        )
+        for job in launcher.launch([list(job) for job in jobs], initial_job_idx=0):
+            _ = job.return_value  # raises what the job raised
+
+
+def settings_of_job() -> list[str]:
+    """The settings of the job that this process runs for a launcher."""
+    return list(HydraConfig.get().overrides.task)
+
+
+def first_line(error: Exception) -> str:
+    """The first line of what an error says, or else its kind."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0]
+
+
+@contextmanager
+def _hydra() -> Iterator[Hydra]:
+    """Hydra over the packages' config folders, also inside somebody else's program or sweep."""
+    theirs = get_gh_backup()
+    GlobalHydra.instance().clear()
+    try:
+        version.setbase(VERSION_BASE)
+        ours, *others = packages()
+        path = create_config_search_path(str(ours.conf))
+        for package in others:
+            path.append(package.name, str(package.conf))
+        yield Hydra.create_main_hydra2("marl-clean", path)
+    finally:
+        restore_gh_from_backup(theirs)
+
+
+def _for_launching(hydra: Hydra, overrides: Sequence[Override]) -> DictConfig:
+    settings = [override.setting for override in overrides]
+    try:
+        return hydra.compose_config(CONFIG_NAME, settings, run_mode=RunMode.MULTIRUN)
+    except (HydraException, OmegaConfBaseException) as error:
+        raise BadInput(f"{' '.join(settings)}: {first_line(error)}") from None
+
+
+def _check_level(override: Override, levels: Sequence[str]) -> None:
+    if override.value in levels:
+        return
+    if override.key == "hydra/launcher" and override.value in LAUNCHERS:
+        package = LAUNCHERS[override.value]
+        raise BadInput(f"{override.setting}: is not installed; pip install {package}")
+    raise BadInput(f"{override.setting}: no such level; {choices(override.text, levels)}")
+
+
+def _check_key(key: str, known: Any) -> None:
+    for part in key.split("."):
+        if not isinstance(known, DictConfig):
+            return
+        if part not in known:
+            names = [str(name) for name in known]
+            raise BadInput(f"{key}: no such key of Hydra's; {choices(part, names)}")
+        known = known._get_node(part)
