@@ -21,6 +21,8 @@ STYLE: Any = {  # Matplotlib types its keys by a list of all of them
     "svg.hashsalt": "marl-clean",  # the same figure gives the same file
 }
 
+MOST_SQUARES = 20_000  # cells drawn one by one; more are an image in the figure
+
 
 def new_figure(width: float, height: float) -> Figure:
     """A figure of so many inches, laid out by itself and never shown on a screen."""
@@ -30,9 +32,11 @@ def new_figure(width: float, height: float) -> Figure:
 def draw_cells(axes: Axes, colours: UInt8[np.ndarray, "row col 3"]) -> None:
     """A colour a cell, row 0 on top, cells square."""
     rows, cols, _ = colours.shape
-    axes.pcolormesh(
-        np.arange(cols + 1), np.arange(rows + 1), colours / 255, edgecolors="face", linewidth=0.2
-    )
+    if rows * cols > MOST_SQUARES:
+        axes.imshow(colours, extent=(0, cols, rows, 0), interpolation="antialiased")
+    else:
+        corners = np.arange(cols + 1), np.arange(rows + 1)
+        axes.pcolormesh(*corners, colours / 255, edgecolors="face", linewidth=0.2)
     axes.set(xlim=(0, cols), ylim=(rows, 0), aspect="equal", xticks=[], yticks=[])
     for spine in axes.spines.values():
         spine.set(visible=True, color=unit(INK), linewidth=0.8)
@@ -63,6 +67,6 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     stem.parent.mkdir(parents=True, exist_ok=True)
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in ("svg", "png")]
     with matplotlib.rc_context(STYLE):
-        figure.savefig(paths[0], metadata={"Date": None})
+        figure.savefig(paths[0], dpi=200, metadata={"Date": None})  # dpi of images in it alone
         figure.savefig(paths[1], dpi=200)
     return paths

@@ -13,6 +13,7 @@ from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
 from marl_clean import build
+from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import find_run
 from marl_clean.env.scene import scene_of
 from marl_clean.env.viewer import (
@@ -30,6 +31,7 @@ from marl_clean.house.base import Houses
 from marl_clean.keys import OBSERVATION
 from marl_clean.report.axes import STYLE, draw_cells, draw_robots, new_figure, unit
 from marl_clean.report.episode import first_held_out, frames, policy_of
+from marl_clean.report.floor_plan import draw_floor_plan
 from marl_clean.report.network import Layer, draw_single, draw_together, watch_layers
 from marl_clean.world.rules import UNKNOWN_VALUE
 
@@ -59,7 +61,10 @@ def paper_1(cfg: DictConfig) -> Figure:
 
 
 def houses(cfg: DictConfig) -> Figure:
-    """A sheet of held-out houses, each with its seed and its free cells."""
+    """A sheet of held-out houses, each with its seed and its free cells, or one floor plan."""
+    house = instantiate(cfg.house)
+    if not house.generated:
+        return draw_floor_plan(house.layout(0))
     figure = new_figure(1.45 * SHEET_COLS, 1.65 * SHEET_ROWS)
     drawn = build.held_out_houses(cfg, cfg.evaluation.house_set, SHEET_ROWS * SHEET_COLS)
     for index, axes in enumerate(figure.subplots(SHEET_ROWS, SHEET_COLS).flat):
