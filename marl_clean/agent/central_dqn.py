@@ -105,7 +105,7 @@ class CentralDqn(DeepQ):
     def sees(self) -> tuple[NestedKey, ...]:
         return (keys.OBSERVATION,)
 
-    def make_greedy(self, plays: bool, tells: bool) -> GreedyJoint:
+    def make_greedy(self, acting: bool, records_messages: bool) -> GreedyJoint:
         return GreedyJoint(self.network, self.n_agents, self.num_actions)
 
     def exploration(self, action_spec: Composite) -> TensorDictSequential:

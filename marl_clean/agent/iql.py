@@ -66,14 +66,14 @@ class Iql(DeepQ):
         network = self.network
         return acting.primer(network, self.n_agents) if network.carries else None
 
-    def make_greedy(self, plays: bool, tells: bool) -> Greedy:
-        repeats = self.messages == "replayed" and not plays
-        return Greedy(self.network, self.n_agents, plays, tells, repeats)
+    def make_greedy(self, acting: bool, records_messages: bool) -> Greedy:
+        replays = self.messages == "replayed" and not acting
+        return Greedy(self.network, self.n_agents, acting, records_messages, replays)
 
     def exploration(self, action_spec: Composite) -> TensorDictSequential:
         """Return the epsilon-greedy policy; each robot draws for itself."""
-        tells = keys.MESSAGE in self.learns_from
-        greedy = self.make_greedy(plays=True, tells=tells).eval()
+        records = keys.MESSAGE in self.learns_from
+        greedy = self.make_greedy(acting=True, records_messages=records).eval()
         return TensorDictSequential(greedy, self.coin(action_spec, keys.ACTION))
 
     def side_loss(self, frames: TensorDictBase) -> Tensor | float:
@@ -82,9 +82,9 @@ class Iql(DeepQ):
             return 0.0
         graph = {key: frames[key] for key in (keys.ADJACENCY, keys.DISTANCE_RANK)}
         now, then = frames, frames["next"].clone(recurse=False).update(graph)
-        attention = self.network(*acting.entries(self.network, now))[1].attention
+        attention = self.network(acting.entries(self.network, now)).talk.attention
         with torch.no_grad():
-            later = self.network(*acting.entries(self.network, then))[1].attention
+            later = self.network(acting.entries(self.network, then)).talk.attention
         ratio = attention.clamp(min=1e-8).log() - later.clamp(min=1e-8).log()
         return self.network.comm.pull * (attention * ratio).sum(-1).mean()
 

@@ -11,23 +11,23 @@ from torchrl.envs import TensorDictPrimer
 from marl_clean import keys
 from marl_clean.comm.base import Talk
 from marl_clean.errors import BadInput
-from marl_clean.learning.networks import RobotsNetwork
+from marl_clean.learning.networks import Entries, RobotsNetwork
 
-TOLD = (keys.MESSAGE, keys.MESSAGE_EDGES, keys.MESSAGE_BITS)
+OF_MESSAGES = (keys.MESSAGE, keys.MESSAGE_EDGES, keys.MESSAGE_BITS)
 
 
-def entries(network: RobotsNetwork, frame: TensorDictBase) -> list[Tensor]:
-    """Return what the network takes, in its order.
+def entries(network: RobotsNetwork, frame: TensorDictBase) -> Entries:
+    """Return what the network sees of a frame, by key.
 
     Raises:
         BadInput: the frame lacks some of it; what is carried from step to step must come from an
             env that lets episodes begin with it, for of a loop that lost it nobody would know.
     """
-    found = [frame.get(key) for key in network.sees]
-    if any(entry is None for entry in found):
-        lacking = [key for key, entry in zip(network.sees, found, strict=True) if entry is None]
+    seen = {key: frame.get(key) for key in network.sees}
+    if any(entry is None for entry in seen.values()):
+        lacking = [key for key, entry in seen.items() if entry is None]
         raise BadInput(_what_to_append(network, lacking))
-    return found
+    return seen
 
 
 def _what_to_append(network: RobotsNetwork, lacking: Sequence[NestedKey]) -> str:
@@ -62,17 +62,15 @@ def primer(network: RobotsNetwork, n_agents: int) -> TensorDictPrimer:
     return TensorDictPrimer(specs, default_value=0.0, expand_specs=True)
 
 
-def note_carried(
-    frame: TensorDictBase, carries: Sequence[NestedKey], carried: Sequence[Tensor]
-) -> None:
-    """Write what is carried to where the next frame will have it."""
-    for key, value in zip(carries, carried, strict=True):
+def record_carried(frame: TensorDictBase, carried: Entries) -> None:
+    """Write in place what is carried to where the next frame will have it."""
+    for key, value in carried.items():
         frame.set(("next", key), value)
 
 
-def note_talk(frame: TensorDictBase, talk: Talk) -> None:
-    """Write what was said, and what it cost."""
-    for key, value in zip(TOLD, (talk.message, talk.edges, talk.bits), strict=True):
+def record_messages(frame: TensorDictBase, talk: Talk) -> None:
+    """Write in place what was sent, and what it cost."""
+    for key, value in zip(OF_MESSAGES, (talk.message, talk.edges, talk.bits), strict=True):
         frame.set(key, value)
 
 
@@ -98,41 +96,41 @@ class Greedy(TensorDictModuleBase):
     Args:
         network: values, or logits, of the robots' actions.
         n_agents: robots in a world.
-        plays: it acts in an env, so what the network carries is written into the next frame;
+        acting: it acts in an env, so what the network carries is written into the next frame;
             otherwise it learns, from frames that hold what was carried.
-        tells: it writes down what was said, too.
-        repeats: a frame that holds what was said is heard as it was then.
+        records_messages: what was sent is written into the frame, too.
+        replays_messages: the messages that a frame holds are heard as they were sent then.
     """
 
     def __init__(
         self,
         network: RobotsNetwork,
         n_agents: int,
-        plays: bool,
-        tells: bool,
-        repeats: bool = False,
+        acting: bool,
+        records_messages: bool,
+        replays_messages: bool = False,
     ) -> None:
         super().__init__()
-        self.network, self.tells, self.plays, self.repeats = network, tells, plays, repeats
-        self.n_agents = n_agents
+        self.network, self.n_agents, self.acting = network, n_agents, acting
+        self.records_messages, self.replays_messages = records_messages, replays_messages
         self.in_keys = list(network.sees)
         self.out_keys = [keys.ACTION, keys.ACTION_VALUE, keys.CHOSEN_ACTION_VALUE]
-        if tells:
-            self.out_keys += TOLD
-        if plays:
+        if records_messages:
+            self.out_keys += OF_MESSAGES
+        if acting:
             self.out_keys += [("next", key) for key in network.carries]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         seen = entries(self.network, tensordict)
-        said = tensordict.get(keys.MESSAGE) if self.repeats else None
-        if not self.plays and keys.IS_INIT in tensordict.keys():
-            value = self.network.unroll(tensordict.get(keys.IS_INIT), *seen, said=said)
+        sent = tensordict.get(keys.MESSAGE) if self.replays_messages else None
+        if not self.acting and keys.IS_INIT in tensordict.keys():
+            value = self.network.unroll(tensordict.get(keys.IS_INIT), seen, sent)
         else:
-            value, talk, carried = self.network(*seen, said=said)
-            if self.plays:
-                note_carried(tensordict, self.network.carries, carried)
-            if self.tells:
-                note_talk(tensordict, talk)
+            value, talk, carried = self.network(seen, sent)
+            if self.acting:
+                record_carried(tensordict, carried)
+            if self.records_messages:
+                record_messages(tensordict, talk)
         chosen, action = value.max(-1, keepdim=True)
         tensordict.set(keys.ACTION_VALUE, value)
         tensordict.set(keys.CHOSEN_ACTION_VALUE, chosen)

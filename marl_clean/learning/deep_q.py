@@ -113,7 +113,7 @@ class DeepQ(Agent):
         self.n_agents, self.num_actions, self.device = n_agents, num_actions, device
         network = self.make_network(encoder, comm, dueling, precision, channels)
         self.network = network.to(device).eval()
-        self._greedy = self.make_greedy(plays=False, tells=False).eval()
+        self._greedy = self.make_greedy(acting=False, records_messages=False).eval()
         if augment and self.unrolls:
             raise BadInput(
                 "agent.augment=true: turns single frames, and this network learns from frames in a"
@@ -161,10 +161,11 @@ class DeepQ(Agent):
         """Return the network from `sees` to the values of `num_actions` or their combinations."""
 
     @abstractmethod
-    def make_greedy(self, plays: bool, tells: bool) -> TensorDictModuleBase:
+    def make_greedy(self, acting: bool, records_messages: bool) -> TensorDictModuleBase:
         """Return the policy of the best actions.
 
-        `plays`: in an env, rather than in the loss; `tells`: of messages too, where there are any.
+        `acting`: in an env, rather than in the loss; `records_messages`: where any are sent, what
+        was sent is written into the frame, too.
         """
 
     def make_loss(self, function: str, double: bool) -> LossModule:
@@ -182,7 +183,7 @@ class DeepQ(Agent):
         """Add what the loss wants in its own shape: endings, steps, and what the learner needs."""
 
     def policy(self) -> TensorDictModuleBase:
-        return self.make_greedy(plays=True, tells=True).eval()
+        return self.make_greedy(acting=True, records_messages=True).eval()
 
     def coin(self, action_spec: Composite, action_key: NestedKey) -> EGreedyModule:
         """Return TorchRL's epsilon-greedy module, whose epsilon `anneal` sets.

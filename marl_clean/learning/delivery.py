@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from jaxtyping import Bool, Float, Int
+from tensordict.utils import NestedKey
 from torch import Tensor
 
 from marl_clean.channel.base import Channel, Step
@@ -41,14 +42,14 @@ class Stacked(Delivery):
             message, edges = channel.carry(message, edges, round_index, self.steps[index])
         return message, edges
 
-    def states_after(self) -> list[Tensor]:
-        """Return what the channels that carry something carry to the next step, in their order."""
+    def states_after(self) -> dict[NestedKey, Tensor]:
+        """Return what channels carry to the next step, each under the key that it remembers by."""
         came = zip(self.channels, self.steps, self.messages, self.edges, strict=True)
-        return [
-            channel.state_after(step, messages, edges)
+        return {
+            channel.remembers: channel.state_after(step, messages, edges)
             for channel, step, messages, edges in came
             if channel.remembers is not None
-        ]
+        }
 
 
 class Repeated(Delivery):

@@ -2,9 +2,10 @@
 
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
+from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int
 from tensordict.utils import NestedKey, expand_as_right
 from torch import Tensor, nn
 from torchrl.data import TensorSpec, Unbounded
@@ -18,7 +19,8 @@ from marl_clean.encoder.base import Encoder
 from marl_clean.learning.delivery import Repeated, Stacked
 from marl_clean.settings import Precision
 
-Carried = tuple[Tensor, ...]  # from one step to the next, in the order of `carries`
+Entries = Mapping[NestedKey, Tensor]
+"""Entries of frames, by the keys that they have there."""
 
 NUM_ACTIONS = 4
 """Up, right, down, left (paper §3.2); there is no way to stay."""
@@ -44,17 +46,39 @@ def set_noise(parts: Iterable[nn.Module], active: bool) -> None:
         part.train(active)
 
 
+def _begun_anew(carried: Entries, begins: Bool[Tensor, "*batch"]) -> Entries:
+    """Return what is carried, zeros where an episode begins."""
+    return {
+        key: torch.where(expand_as_right(begins, value), torch.zeros_like(value), value)
+        for key, value in carried.items()
+    }
+
+
+class Decision(NamedTuple):
+    """What robots make of one step.
+
+    Attributes:
+        out: `[*B, n, outputs]`, action values or logits.
+        talk: what was sent, and what it cost.
+        carried: what the next step takes up, by the keys of `carries`.
+    """
+
+    out: Tensor
+    talk: Talk
+    carried: Entries
+
+
 class RobotsNetwork(nn.Module):
     """What every robot makes of what it sees and hears: encoder, talk, head (paper figure 4).
 
         h_i = encoder(o_i), with memory GRU(encoder(o_i), h_i of the step before)
-        out_i = head(comm(h, who hears whom, over the channel)_i)
+        out_i = head(comm(h, adjacency, over the channels)_i)
 
     All robots share the weights, so any number of robots fits. `precision` is that of the
     encoder's arithmetic, where the time goes; messages and outputs stay float32.
 
     Attributes:
-        sees: where a frame holds what `forward` takes, in its order.
+        sees: the keys of the entries that `forward` takes.
         carries: the keys among them that it makes itself for the next step: a robot's memory,
             messages under way, the channel's state. An episode begins with zeros.
         history: how many steps gradients go back at least; then it learns from frames in a row.
@@ -112,23 +136,17 @@ class RobotsNetwork(nn.Module):
         return specs
 
     def forward(
-        self,
-        observation: Float[Tensor, "..."],
-        adjacency: Bool[Tensor, "*batch agent agent"],
-        distance_rank: Int[Tensor, "*batch agent agent"],
-        *others: Shaped[Tensor, "..."],
-        said: Float[Tensor, "*batch agent message"] | None = None,
-    ) -> tuple[Float[Tensor, "*batch agent out"], Talk, Carried]:
-        """Return the outputs, what was said, and what is carried to the next step.
+        self, seen: Entries, sent: Float[Tensor, "*batch agent message"] | None = None
+    ) -> Decision:
+        """Decide on a frame's entries, those of `sees` by their keys.
 
-        `observation` is [*batch, agent, ...], as the encoder takes it; `others` are the channel's
-        seeds, if it draws, and what is carried from the step before. With `said`, these messages
-        go on their way, whatever the robots would say.
+        The observation is [*batch, agent, ...], as the encoder takes it. With `sent`, these
+        messages are delivered, whatever the robots would send.
         """
-        feature = self.encode(observation)
-        return self.decide(feature, adjacency, distance_rank, *others, said=said)
+        return self.decide(self.encode(seen[keys.OBSERVATION]), seen, sent)
 
     def encode(self, observation: Float[Tensor, "..."]) -> Float[Tensor, "*batch agent feature"]:
+        """Return what the encoder makes of observations, in its own precision."""
         with torch.autocast(observation.device.type, torch.bfloat16, enabled=self.reduced):
             feature = self.encoder(observation)
         return feature.float()
@@ -136,56 +154,53 @@ class RobotsNetwork(nn.Module):
     def decide(
         self,
         feature: Float[Tensor, "*batch agent feature"],
-        adjacency: Bool[Tensor, "*batch agent agent"],
-        distance_rank: Int[Tensor, "*batch agent agent"],
-        *others: Shaped[Tensor, "..."],
-        said: Float[Tensor, "*batch agent message"] | None = None,
-    ) -> tuple[Float[Tensor, "*batch agent out"], Talk, Carried]:
-        """Return what `forward` does, from features of the encoder."""
-        given = list(others)
-        seed = given.pop(0) if self.draws else None
-        carried: list[Tensor] = []
+        seen: Entries,
+        sent: Float[Tensor, "*batch agent message"] | None = None,
+    ) -> Decision:
+        """Return what `forward` does, from features of the encoder and the other entries."""
+        carried: dict[NestedKey, Tensor] = {}
         if self.encoder.memory is not None:
-            flat = feature.flatten(0, -2), given.pop(0).flatten(0, -2)
-            feature = self.encoder.memory(*flat).unflatten(0, feature.shape[:-1])
-            carried.append(feature)
-        states = [None if each.remembers is None else given.pop(0) for each in self.stack]
-        rounds = self.comm.rounds
-        gated = self.comm.gated
-        stacked = Stacked(self.stack, adjacency, distance_rank, rounds, seed, states, gated)
-        dims = self.comm.message_dims[:rounds]
-        delivery: Delivery = stacked if said is None else Repeated(stacked, said, dims)
+            hidden = seen[keys.HIDDEN].flatten(0, -2)
+            remembered = self.encoder.memory(feature.flatten(0, -2), hidden)
+            feature = carried[keys.HIDDEN] = remembered.unflatten(0, feature.shape[:-1])
+        adjacency, distance_rank = seen[keys.ADJACENCY], seen[keys.DISTANCE_RANK]
+        stacked = Stacked(
+            self.stack,
+            adjacency,
+            distance_rank,
+            self.comm.rounds,
+            seen[keys.CHANNEL_SEED] if self.draws else None,
+            [None if each.remembers is None else seen[each.remembers] for each in self.stack],
+            self.comm.gated,
+        )
+        delivery: Delivery = stacked
+        if sent is not None:
+            delivery = Repeated(stacked, sent, self.comm.message_dims[: self.comm.rounds])
         talk = self.comm(feature, adjacency, distance_rank, delivery)
-        return self.out(talk.feature), talk, (*carried, *stacked.states_after())
+        return Decision(self.out(talk.feature), talk, carried | stacked.states_after())
 
     def unroll(
         self,
         begins: Bool[Tensor, "*batch time 1"],
-        observation: Float[Tensor, "..."],
-        adjacency: Bool[Tensor, "*batch time agent agent"],
-        distance_rank: Int[Tensor, "*batch time agent agent"],
-        *others: Shaped[Tensor, "..."],
-        said: Float[Tensor, "*batch time agent message"] | None = None,
+        seen: Entries,
+        sent: Float[Tensor, "*batch time agent message"] | None = None,
     ) -> Float[Tensor, "*batch time agent out"]:
         """Return the outputs over frames in a row; gradients cross from frame to frame.
 
-        What is carried comes from the first frame as it was played, and from then on is made anew
-        with the present weights; where an episode `begins` it is zeros.
+        What is carried comes from the first frame as it was collected, and from then on is made
+        anew with the present weights; where an episode `begins` it is zeros.
         """
-        feature = self.encode(observation)
+        feature = self.encode(seen[keys.OBSERVATION])
         time = begins.ndim - 2
-        drawn = others[: len(others) - len(self.carries)]
-        carried: Carried = tuple(o.select(time, 0) for o in others[len(drawn) :])
+        given = [key for key in self.sees if key not in (keys.OBSERVATION, *self.carries)]
+        carried: Entries = {key: seen[key].select(time, 0) for key in self.carries}
         outputs = []
         for t in range(begins.shape[time]):
             if t > 0:
-                fresh = begins.select(time, t).squeeze(-1)
-                carried = tuple(
-                    torch.where(expand_as_right(fresh, c), torch.zeros_like(c), c) for c in carried
-                )
-            now = (x.select(time, t) for x in (feature, adjacency, distance_rank, *drawn))
-            repeated = None if said is None else said.select(time, t)
-            out, _, carried = self.decide(*now, *carried, said=repeated)
+                carried = _begun_anew(carried, begins.select(time, t).squeeze(-1))
+            now = {**{key: seen[key].select(time, t) for key in given}, **carried}
+            sent_now = None if sent is None else sent.select(time, t)
+            out, _, carried = self.decide(feature.select(time, t), now, sent_now)
             outputs.append(out)
         return torch.stack(outputs, dim=time)
 

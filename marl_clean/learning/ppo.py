@@ -24,7 +24,7 @@ from marl_clean import keys
 from marl_clean.comm.base import Comm
 from marl_clean.encoder.base import Encoder
 from marl_clean.learning import acting
-from marl_clean.learning.acting import Greedy
+from marl_clean.learning.acting import Greedy, entries, record_carried
 from marl_clean.learning.agent import Agent, Channels, Count
 from marl_clean.learning.networks import NUM_ACTIONS, RobotsNetwork, noisy_parts, set_noise
 from marl_clean.settings import (
@@ -39,23 +39,23 @@ DONE, TERMINATED = (keys.AGENTS, keys.DONE), (keys.AGENTS, keys.TERMINATED)
 
 
 class Logits(TensorDictModuleBase):
-    """Every robot's logits, and while it plays what the network carries."""
+    """Every robot's logits, and while it acts what the network carries."""
 
-    def __init__(self, network: RobotsNetwork, plays: bool) -> None:
+    def __init__(self, network: RobotsNetwork, acting: bool) -> None:
         super().__init__()
-        self.network, self.plays = network, plays
+        self.network, self.acting = network, acting
         self.in_keys = list(network.sees)
-        carried = [("next", key) for key in network.carries] if plays else []
+        carried = [("next", key) for key in network.carries] if acting else []
         self.out_keys = [keys.LOGITS, *carried]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        entries = acting.entries(self.network, tensordict)
-        if not self.plays and self.network.unrolls:
-            logits = self.network.unroll(tensordict.get(keys.IS_INIT), *entries)
+        seen = entries(self.network, tensordict)
+        if not self.acting and self.network.unrolls:
+            logits = self.network.unroll(tensordict.get(keys.IS_INIT), seen)
         else:
-            logits, _, carried = self.network(*entries)
-            if self.plays:
-                acting.note_carried(tensordict, self.network.carries, carried)
+            logits, _, carried = self.network(seen)
+            if self.acting:
+                record_carried(tensordict, carried)
         return tensordict.set(keys.LOGITS, logits)
 
 
@@ -153,7 +153,7 @@ class Ppo(Agent):
         self.network, self.critic = network.to(device).eval(), critic.to(device).eval()
         values = TensorDictModule(self.critic, [keys.OBSERVATION], [keys.STATE_VALUE])
         self._loss = self.loss_class(
-            self._drawing(plays=False),
+            self._drawing(acting=False),
             values,
             clip_epsilon=clip_epsilon,
             entropy_coeff=entropy_coeff,
@@ -176,7 +176,7 @@ class Ppo(Agent):
         self._parameters = [*self.network.parameters(), *self.critic.parameters()]
         self._optimiser = torch.optim.Adam(self._parameters, lr=lr, fused=True)
 
-    def _drawing(self, plays: bool) -> ProbabilisticTensorDictSequential:
+    def _drawing(self, acting: bool) -> ProbabilisticTensorDictSequential:
         """Return TorchRL's actor: the network's logits, and an action drawn for each robot."""
         draw = ProbabilisticTensorDictModule(
             in_keys={"logits": keys.LOGITS},
@@ -185,7 +185,7 @@ class Ppo(Agent):
             return_log_prob=True,
             log_prob_key=keys.LOG_PROB,
         )
-        return ProbabilisticTensorDictSequential(Logits(self.network, plays).eval(), draw)
+        return ProbabilisticTensorDictSequential(Logits(self.network, acting).eval(), draw)
 
     @property
     def history(self) -> int:
@@ -203,11 +203,11 @@ class Ppo(Agent):
         return (*now, *(("next", key) for key in later))
 
     def policy(self) -> Greedy:
-        return Greedy(self.network, self.n_agents, plays=True, tells=True).eval()
+        return Greedy(self.network, self.n_agents, acting=True, records_messages=True).eval()
 
     def exploration(self, action_spec: Composite) -> TensorDictModuleBase:
         """Return the policy that draws; it draws under TorchRL's `ExplorationType.RANDOM`."""
-        return self._drawing(plays=True)
+        return self._drawing(acting=True)
 
     def anneal(self, progress: float) -> None:
         """Set the step size for a run of which `progress`, 0 to 1, is done."""

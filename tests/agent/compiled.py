@@ -11,11 +11,12 @@ from pathlib import Path
 import torch
 from omegaconf import OmegaConf
 
+from marl_clean import keys
 from marl_clean.build import make_comm
 from marl_clean.channel.base import Channel
 from marl_clean.config.class_source import takes
 from marl_clean.config.schema import instantiate
-from marl_clean.learning.networks import QNetwork
+from marl_clean.learning.networks import Decision, Entries, QNetwork
 from marl_clean.observation.crop import Crop
 from tests.comm.contract import DILUTED, LEVELS, VARIANTS, draw, make
 
@@ -52,13 +53,14 @@ def check(level: str, changes: dict, channels: dict[str, dict], memory: str, bac
     encoder = instantiate(section, observation_shape=torch.Size([1, 15, 15]), spread=Crop.spread)
     section = OmegaConf.merge(OmegaConf.load(CONF / "comm" / f"{level}.yaml"), changes)
     comm = make_comm(section, encoder.out_features, torch.Size([1, 15, 15]))
-    ways = {name: way(name, tuple(comm.message_dims), some) for name, some in channels.items()}
+    dims = tuple(comm.message_dims)
+    stack = {name: make_channel(name, dims, some) for name, some in channels.items()}
     torch.compiler.reset()  # each is a network of its own, and so many are not kept
-    network = QNetwork(encoder, comm, dueling=True, precision="float32", channels=ways)
+    network = QNetwork(encoder, comm, dueling=True, precision="float32", channels=stack)
     network.eval()  # bits and gates are drawn while learning
     compiled = torch.compile(network, fullgraph=True, backend=backend)
     seen = entries(network)
-    for mine, theirs in zip(flat(network(*seen)), flat(compiled(*seen)), strict=True):
+    for mine, theirs in zip(flat(network(seen)), flat(compiled(seen)), strict=True):
         torch.testing.assert_close(mine, theirs, atol=1e-4, rtol=1e-4)
 
 
@@ -76,24 +78,25 @@ def check_gradients(level: str) -> None:
         torch.testing.assert_close(mine, theirs, atol=1e-4, rtol=1e-4)
 
 
-def way(name: str, dims: tuple[int, ...], changes: dict) -> Channel:
+def make_channel(name: str, dims: tuple[int, ...], changes: dict) -> Channel:
     section = OmegaConf.merge(OmegaConf.load(CONF / "channel" / f"{name}.yaml"), changes)
     parts = {"message_dims": dims} if takes(section["_target_"], "message_dims") else {}
     return instantiate(section, **parts)
 
 
-def entries(network: QNetwork) -> list[torch.Tensor]:
+def entries(network: QNetwork) -> Entries:
     observation = torch.tensor([-1.0, -0.2, 0.0, 0.3, 1.0])[torch.randint(5, (2, 3, 1, 15, 15))]
     live = torch.tensor([[[0, 1, 0], [1, 0, 0], [0, 0, 0]]] * 2, dtype=torch.bool)
     rank = torch.tensor([[[0, 1, 2], [1, 0, 2], [2, 1, 0]]] * 2)
-    drawn = [torch.randint(2**32, (2, N_AGENTS))] if network.draws else []
+    seen = {keys.OBSERVATION: observation, keys.ADJACENCY: live, keys.DISTANCE_RANK: rank}
+    if network.draws:
+        seen[keys.CHANNEL_SEED] = torch.randint(2**32, (2, N_AGENTS))
     specs = network.state_specs(N_AGENTS)
-    return [observation, live, rank, *drawn, *(specs[key].rand([2]) for key in network.carries)]
+    return seen | {key: specs[key].rand([2]) for key in network.carries}
 
 
-def flat(result: tuple) -> list[torch.Tensor]:
-    value, talk, carried = result
-    return [value, *talk[:4], *carried]
+def flat(result: Decision) -> list[torch.Tensor]:
+    return [result.out, *result.talk[:4], *result.carried.values()]
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """Small networks and random frames for the tests of learners."""
 
+from collections.abc import Sequence
+
 import torch
 from omegaconf import OmegaConf
 from tensordict import TensorDict
@@ -14,6 +16,7 @@ from marl_clean.config.class_source import constant
 from marl_clean.config.schema import instantiate
 from marl_clean.encoder.cnn import Cnn
 from marl_clean.learning.agent import Agent
+from marl_clean.learning.networks import Entries
 from marl_clean.observation.crop import Crop
 
 CODES = torch.tensor([-1.0, -0.2, 0.0, 0.3, 0.5, 1.0])
@@ -100,6 +103,11 @@ def frames(count: int, n_agents: int = 2, seed: int = 0) -> tuple[Tensor, Tensor
     live = (torch.rand(count, n_agents, n_agents, generator=draw) < 0.5).triu(1)
     rank = (torch.arange(n_agents)[None] - torch.arange(n_agents)[:, None]) % n_agents
     return observation, live | live.mT, rank.expand(count, -1, -1).contiguous()
+
+
+def by_key(seen: Sequence[Tensor]) -> Entries:
+    """What `frames` returns, as a network takes it."""
+    return dict(zip((keys.OBSERVATION, keys.ADJACENCY, keys.DISTANCE_RANK), seen, strict=True))
 
 
 def transitions(count: int, n_agents: int = 2, seed: int = 0) -> TensorDict:

@@ -7,7 +7,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from marl_clean import build, keys
 from marl_clean.config.compose import compose_config
 from marl_clean.errors import BadInput
-from marl_clean.learning.acting import begin_carrying
+from marl_clean.learning.acting import begin_carrying, entries
 from marl_clean.trainer._training import CarriedCollector, Rows, Windows
 
 BASE = [
@@ -67,10 +67,10 @@ def test_unrolled_rows_say_what_was_played(settings: list[str]) -> None:
         assert frames[key].float().abs().sum() > 0
         assert not frames[key][frames[keys.IS_INIT].squeeze(-1)].any()
     row = frames[:, 3:11]  # from the middle of episodes
-    seen = [row[key] for key in agent.sees]
-    value = agent.network.unroll(row[keys.IS_INIT], *seen)
+    seen = entries(agent.network, row)
+    value = agent.network.unroll(row[keys.IS_INIT], seen)
     torch.testing.assert_close(value, row[keys.ACTION_VALUE])
-    again, _, _ = agent.network(*seen)  # what is stored with each frame says the same
+    again = agent.network(seen).out  # what is stored with each frame says the same
     torch.testing.assert_close(again, row[keys.ACTION_VALUE])
 
 
@@ -78,17 +78,17 @@ def test_unrolled_rows_say_what_was_played(settings: list[str]) -> None:
 def test_what_is_carried_matters_and_gradients_cross_steps(settings: list[str]) -> None:
     _, agent, frames = played(settings)
     row = frames[:, 3:11]
-    seen = [row[key].clone() for key in agent.sees]
-    seen[0].requires_grad_()
-    value = agent.network.unroll(torch.zeros_like(row[keys.IS_INIT]), *seen)
-    (grad,) = torch.autograd.grad(value[:, 5].sum(), seen[0])
+    seen = entries(agent.network, row.clone())
+    observation = seen[keys.OBSERVATION].requires_grad_()
+    value = agent.network.unroll(torch.zeros_like(row[keys.IS_INIT]), seen)
+    (grad,) = torch.autograd.grad(value[:, 5].sum(), observation)
     reached = grad.flatten(2).abs().sum((0, 2)).ne(0)
     assert reached[:6].any() and not reached[6:].any()
     assert reached[3]  # two steps before
     begins = torch.zeros_like(row[keys.IS_INIT])
     begins[:, 5] = True
-    value = agent.network.unroll(begins, *seen)
-    (grad,) = torch.autograd.grad(value[:, 5].sum(), seen[0])
+    value = agent.network.unroll(begins, seen)
+    (grad,) = torch.autograd.grad(value[:, 5].sum(), observation)
     assert not grad[:, :5].any()  # a new episode remembers nothing
 
 

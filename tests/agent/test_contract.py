@@ -14,6 +14,7 @@ from marl_clean.agent.iql import Iql
 from marl_clean.agent.vdn import Vdn
 from marl_clean.config import levels
 from marl_clean.config.class_source import constant
+from marl_clean.learning.acting import entries
 from marl_clean.learning.deep_q import DeepQ
 from marl_clean.learning.ppo import Ppo
 from marl_clean.testing import ContractBroken, check_agent
@@ -122,20 +123,19 @@ def test_the_contract_refuses(wrong: type[Iql], broken: str) -> None:
 
 def team_loss(agent: Vdn, batch: TensorDict, mixed) -> torch.Tensor:
     """Double Q of the team's value, written out."""
-    seen = ("observation", "adjacency", "distance_rank")
-    now, then = ([part[keys.AGENTS][name] for name in seen] for part in (batch, batch["next"]))
+    now, then = (entries(agent.network, part) for part in (batch, batch["next"]))
     target = copy.deepcopy(agent.network)
     target.load_state_dict(
         {n: w for n, w in agent.state_dict()["target"].items() if "mixer_network" not in n}
     )
     with torch.no_grad():
-        best = agent.network(*then)[0].argmax(-1, keepdim=True)
-        later = mixed(target(*then)[0].gather(-1, best), batch["next", keys.STATE])
+        best = agent.network(then).out.argmax(-1, keepdim=True)
+        later = mixed(target(then).out.gather(-1, best), batch["next", keys.STATE])
         goes_on = (~batch["next", "terminated"]).float()
         reward = batch["next", keys.REWARD][:, 0]  # the sum already, the same for all
         discount = agent.gamma ** batch[keys.STEPS_TO_NEXT_OBS].unsqueeze(-1)
         goal = reward + discount * goes_on * later
-    chosen = agent.network(*now)[0].gather(-1, batch[keys.ACTION].unsqueeze(-1))
+    chosen = agent.network(now).out.gather(-1, batch[keys.ACTION].unsqueeze(-1))
     return torch.nn.functional.smooth_l1_loss(mixed(chosen, batch[keys.STATE]), goal)
 
 
@@ -254,7 +254,7 @@ def test_advantages_bootstrap_what_is_cut_and_not_what_ends(learner):
 
 def clipped_loss(agent: Ppo, batch: TensorDict, epsilon: float = 0.2) -> torch.Tensor:
     """PPO's loss, written out."""
-    logits = agent.network(*(batch[key] for key in agent.network.sees))[0]
+    logits = agent.network(entries(agent.network, batch)).out
     drawn = Categorical(logits=logits)
     ratio = (drawn.log_prob(batch[keys.ACTION]) - batch[keys.LOG_PROB]).exp().unsqueeze(-1)
     advantage = batch[keys.ADVANTAGE]

@@ -9,6 +9,7 @@ from torchrl.data import Categorical, Composite
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from marl_clean import keys
+from marl_clean.learning.acting import entries
 from tests.agent.parts import make_agent, make_encoder, transitions
 
 LOSSES = {
@@ -29,15 +30,14 @@ class Plain:
 
     def update(self, batch):
         agents, later = batch[keys.AGENTS], batch["next", keys.AGENTS]
-        seen = ("observation", "adjacency", "distance_rank")
-        now, then = [agents[name] for name in seen], [later[name] for name in seen]
+        now, then = (entries(self.network, frames) for frames in (batch, batch["next"]))
         with torch.no_grad():
             chooser = self.network if self.double else self.target
-            best = chooser(*then)[0].argmax(-1, keepdim=True)
-            value = self.target(*then)[0].gather(-1, best)[..., 0]
+            best = chooser(then).out.argmax(-1, keepdim=True)
+            value = self.target(then).out.gather(-1, best)[..., 0]
             discount = self.gamma ** batch[keys.STEPS_TO_NEXT_OBS][:, None]
             goal = later["reward"][..., 0] + discount * ~batch["next", "terminated"] * value
-        chosen = self.network(*now)[0].gather(-1, agents["action"][..., None])[..., 0]
+        chosen = self.network(now).out.gather(-1, agents["action"][..., None])[..., 0]
         loss = self.loss(chosen, goal)
         self.adam.zero_grad()
         loss.backward()
@@ -197,10 +197,10 @@ def test_replayed_messages_are_heard_as_sent_and_teach_the_sender_nothing():
     agent, batch = make_agent("plan", messages="replayed"), all_in_contact(4)
     assert keys.MESSAGE in agent.learns_from
     batch[keys.MESSAGE] = torch.randn(4, 2, 32)
-    expected = agent.network(*(batch[key] for key in agent.sees), said=batch[keys.MESSAGE])[0]
+    expected = agent.network(entries(agent.network, batch), batch[keys.MESSAGE]).out
     learnt = agent._greedy(batch.clone())
     torch.testing.assert_close(learnt[keys.ACTION_VALUE], expected)
-    assert not torch.equal(expected, agent.network(*(batch[key] for key in agent.sees))[0])
+    assert not torch.equal(expected, agent.network(entries(agent.network, batch)).out)
     agent.update(batch)
     weights = dict(agent.network.named_parameters())
     message = [weight for name, weight in weights.items() if "comm.message" in name]
@@ -210,9 +210,9 @@ def test_replayed_messages_are_heard_as_sent_and_teach_the_sender_nothing():
 
 def test_replayed_messages_as_they_were_sent_now_give_the_same_values():
     agent, batch = make_agent("commnet", messages="replayed"), all_in_contact(4)
-    seen = [batch[key] for key in agent.sees]
-    value, talk, _ = agent.network(*seen)
-    torch.testing.assert_close(agent.network(*seen, said=talk.message)[0], value)
+    seen = entries(agent.network, batch)
+    value, talk, _ = agent.network(seen)
+    torch.testing.assert_close(agent.network(seen, talk.message).out, value)
 
 
 @pytest.mark.parametrize("comm", ["none", "zeroed"])
@@ -241,7 +241,7 @@ def test_attention_is_pulled_towards_that_of_the_next_frame():
     pulled.network.comm.pull = 0.5
     extra = pulled.side_loss(batch)
     now, later = (
-        pulled.network(*(frames[key] for key in pulled.sees))[1].attention
+        pulled.network(entries(pulled.network, frames)).talk.attention
         for frames in (batch, batch["next"])
     )
     assert now.shape == (6, 2, 2, 2)  # frames, heads, robots, robots

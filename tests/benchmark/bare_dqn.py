@@ -20,6 +20,7 @@ from marl_clean.config.schema import instantiate
 from marl_clean.trainer.off_policy import OffPolicy
 from marl_clean.world.dynamics import advance_, episode_ends
 from marl_clean.world.sensing import crop, distance_rank, in_view
+from tests.agent.parts import by_key
 
 FRAMES = 16_384
 PAIRS = 5
@@ -57,7 +58,7 @@ class Bare:
     @torch.no_grad()
     def play(self, now: tuple, epsilon: float) -> tuple:
         env = self.env
-        action = self.network(*now)[0].argmax(-1)
+        action = self.network(by_key(now)).out.argmax(-1)
         random = torch.rand(action.shape) < epsilon
         action = torch.where(random, torch.randint(4, action.shape), action)
         outcome = advance_(env.state, action, env.moves, env.rules)
@@ -105,9 +106,9 @@ class Bare:
             x.flatten(0, 1)[index] for x in (self.action, self.reward, self.discount)
         )
         with torch.no_grad():
-            best = self.network(*then)[0].argmax(-1, keepdim=True)
-            goal = reward + discount * self.target(*then)[0].gather(-1, best)[..., 0]
-        value = self.network(*now)[0].gather(-1, action[..., None])[..., 0]
+            best = self.network(by_key(then)).out.argmax(-1, keepdim=True)
+            goal = reward + discount * self.target(by_key(then)).out.gather(-1, best)[..., 0]
+        value = self.network(by_key(now)).out.gather(-1, action[..., None])[..., 0]
         loss = nn.functional.smooth_l1_loss(value, goal)
         self.adam.zero_grad()
         loss.backward()

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from omegaconf import OmegaConf
 from torch import Tensor
 
+from marl_clean import keys
 from marl_clean.channel.base import Channel
 from marl_clean.comm.base import Comm, Talk
 from marl_clean.config.class_source import takes
@@ -79,12 +80,12 @@ def play(net: RobotsNetwork, given: Frames) -> list[Talk]:
     """What is said and made of it in each step, nothing carried into the first."""
     batch, n_agents = given.seed.shape[1:-1], given.seed.shape[-1]
     specs = net.state_specs(n_agents)
-    carried = tuple(specs[key].zero(batch) for key in net.carries)
-    carried = tuple(c.double() if c.is_floating_point() else c for c in carried)
+    carried = {key: specs[key].zero(batch) for key in net.carries}
+    carried = {key: c.double() if c.is_floating_point() else c for key, c in carried.items()}
     talks = []
     for feature, live, rank, seed in zip(*given, strict=True):
-        drawn = (seed,) if net.draws else ()
-        _, talk, carried = net.decide(feature, live, rank, *drawn, *carried)
+        seen = {keys.ADJACENCY: live, keys.DISTANCE_RANK: rank, keys.CHANNEL_SEED: seed}
+        _, talk, carried = net.decide(feature, seen | carried)
         talks.append(talk)
     return talks
 

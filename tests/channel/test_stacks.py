@@ -28,7 +28,7 @@ def cross(channels: list[Channel], given: Frames) -> list[tuple[Tensor, Tensor]]
         delivery = Stacked(channels, live, rank, len(DIMS), seed, states)
         parts = said[..., : sum(DIMS)].float().split(DIMS, dim=-1)
         heard += [delivery(part, round_index) for round_index, part in enumerate(parts)]
-        kept = delivery.states_after()
+        kept = list(delivery.states_after().values())
     return heard
 
 
