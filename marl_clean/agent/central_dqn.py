@@ -1,9 +1,11 @@
 """The central controller: one network acts for all robots, the paper's approach 1 (§3.4)."""
 
-from typing import ClassVar
+from typing import final
 
+from jaxtyping import Float, Int
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
+from torch import Tensor
 from torchrl.data import Categorical, Composite
 
 from marl_clean import keys
@@ -50,6 +52,7 @@ class GreedyJoint(TensorDictModuleBase):
         return tensordict
 
 
+@final
 class CentralDqn(DeepQ):
     """One network sees all robots' states and chooses their joint action (paper §3.4, approach 1).
 
@@ -57,7 +60,8 @@ class CentralDqn(DeepQ):
 
     The reward is the sum of the robots' own, so `reward=team`; the actions are the 4^n joint ones,
     numbered in base 4 with robot 0 the lowest digit, of which one at random is taken with
-    probability epsilon. There is nobody to talk to, so `comm=none`. All else as in `DeepQ`.
+    probability epsilon. There is nobody to talk to, so `comm=none`. The loss stands in
+    `DeepQ.loss`; all else as there.
 
     Raises:
         BadInput: more than 1,024 joint actions, those of 5 robots; 4,096 would learn nothing in a
@@ -73,14 +77,6 @@ class CentralDqn(DeepQ):
     sized_by = ["env.n_agents"]
 
     network: JointQNetwork
-    loss_keys: ClassVar = {
-        "action": keys.JOINT_ACTION,
-        "action_value": keys.JOINT_ACTION_VALUE,
-        "value": keys.CHOSEN_JOINT_ACTION_VALUE,
-        "reward": "reward",
-        "done": keys.DONE,
-        "terminated": keys.TERMINATED,
-    }
 
     def make_network(
         self,
@@ -105,7 +101,7 @@ class CentralDqn(DeepQ):
     def sees(self) -> tuple[NestedKey, ...]:
         return (keys.OBSERVATION,)
 
-    def make_greedy(self, acting: bool, records_messages: bool) -> GreedyJoint:
+    def make_greedy(self, records_messages: bool) -> GreedyJoint:
         return GreedyJoint(self.network, self.n_agents, self.num_actions)
 
     def exploration(self, action_spec: Composite) -> TensorDictSequential:
@@ -118,9 +114,15 @@ class CentralDqn(DeepQ):
             in_keys=[keys.JOINT_ACTION],
             out_keys=[keys.ACTION],
         )
-        return TensorDictSequential(self._greedy, coin, decode)
+        return TensorDictSequential(self.make_greedy(records_messages=False).eval(), coin, decode)
 
-    def for_loss(self, frames: TensorDictBase) -> None:
-        """Number the joint actions."""
-        frames[keys.JOINT_ACTION] = encode_joint(frames[keys.ACTION], self.num_actions)
-        acting.take_team_reward(frames)
+    def values(
+        self, network: JointQNetwork, frames: TensorDictBase
+    ) -> Float[Tensor, "*batch joint_action"]:
+        return network(frames[keys.OBSERVATION])
+
+    def action(self, frames: TensorDictBase) -> Int[Tensor, "*batch"]:
+        return encode_joint(frames[keys.ACTION], self.num_actions)
+
+    def reward(self, frames: TensorDictBase) -> Float[Tensor, "*batch 1"]:
+        return acting.team_reward(frames)

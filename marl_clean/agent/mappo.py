@@ -1,10 +1,13 @@
 """Multi-agent PPO: the critic knows what all robots see, the policies do not."""
 
+from typing import final
+
 from torchrl.objectives import MAPPOLoss
 
 from marl_clean.learning.ppo import Ppo
 
 
+@final
 class Mappo(Ppo):
     """Every robot learns its policy by PPO, and the value of what all robots see.
 

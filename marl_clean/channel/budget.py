@@ -1,5 +1,7 @@
 """A robot may send only so many messages in a step."""
 
+from typing import final
+
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
@@ -8,6 +10,7 @@ from marl_clean.channel.base import Channel
 from marl_clean.settings import NonNegativeInt
 
 
+@final
 class Budget(Channel):
     """Let each robot send at most so many messages a step, to its nearest neighbours.
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import accumulate, pairwise
+from typing import final
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -57,6 +58,7 @@ class Later(Channel):
         return torch.cat([newest, step.state[..., :-1, :]], dim=-2)
 
 
+@final
 class Delayed(Later):
     """Hear in step t what was sent in step t - a, over the edges live then, and know a.
 

@@ -1,6 +1,7 @@
 """Messages get lost: each edge for itself, or in bursts."""
 
 from collections.abc import Sequence
+from typing import final
 
 import torch
 from jaxtyping import Bool, Float
@@ -12,6 +13,7 @@ from marl_clean.channel.base import Channel, Dims, Salt, Step
 from marl_clean.settings import Probability
 
 
+@final
 class Lossy(Channel):
     """Lose what is sent over an edge in a step with a probability, all its rounds together.
 

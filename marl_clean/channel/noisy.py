@@ -1,5 +1,7 @@
 """Noise is added to every number."""
 
+from typing import final
+
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -7,6 +9,7 @@ from marl_clean.channel.base import Channel, Salt, Step
 from marl_clean.settings import PositiveFloat
 
 
+@final
 class Noisy(Channel):
     """Add Gaussian noise to what is heard: m + std z, z standard normal.
 

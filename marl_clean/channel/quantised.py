@@ -1,5 +1,7 @@
 """Numbers cross in a few bits each."""
 
+from typing import final
+
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -7,6 +9,7 @@ from marl_clean.channel.base import Channel, Step
 from marl_clean.settings import BitsPerNumber, PositiveFloat
 
 
+@final
 class Quantised(Channel):
     """Send each number as the nearest of 2^b levels between -limit and limit.
 

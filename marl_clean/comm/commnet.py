@@ -1,18 +1,17 @@
 """CommNet: robots hear the mean of the others' hidden states, round after round."""
 
-from typing import Literal
+from typing import Literal, final
 
-import torch
-from jaxtyping import Bool, Float, Int
-from torch import Tensor, nn
+from jaxtyping import Bool, Float
+from torch import Tensor
 
-from marl_clean.comm.base import Comm, Width, outgoing, sum_live
+from marl_clean.comm._hidden_states import HiddenStates, mean_over_all_others
+from marl_clean.comm.base import Width, sum_live
 from marl_clean.settings import PositiveInt
 
-State = tuple[Tensor, ...]  # W_x feature, the hidden state, and what a scheme built on it adds
 
-
-class CommNet(Comm):
+@final
+class CommNet(HiddenStates):
     """Hear the mean of the others' hidden states, in rounds.
 
         x_i = W_x feature_i,    h_i = tanh(x_i)
@@ -41,43 +40,14 @@ class CommNet(Comm):
         divisor: Literal["live", "others"],
         detach: bool,
     ) -> None:
-        super().__init__()
+        super().__init__(in_features, hidden, rounds, detach)
         self.dilutes = divisor == "others"
-        self.detach = detach
-        self.skip = nn.Linear(in_features, hidden)
-        self.own = nn.ModuleList(nn.Linear(hidden, hidden, bias=False) for _ in range(rounds))
-        self.heard = nn.ModuleList(nn.Linear(hidden, hidden, bias=False) for _ in range(rounds))
-        self.message_dims, self.out_features = (hidden,) * rounds, hidden
 
-    def begin(self, feature: Float[Tensor, "*batch agent feature"]) -> State:
-        skip = self.skip(feature)
-        return skip, skip.tanh()
-
-    def speak(self, state: State, round_index: int) -> Float[Tensor, "*batch agent hidden"]:
-        return outgoing(state[1], self.detach)
-
-    def listen(
-        self,
-        state: State,
-        heard: Float[Tensor, "*batch agent message"],
-        live: Bool[Tensor, "*batch agent other"],
-        distance_rank: Int[Tensor, "*batch agent other"],
-        round_index: int,
-    ) -> State:
-        skip, hidden, *further = state
-        own, others = self.own[round_index], self.heard[round_index]
-        return skip, torch.tanh(skip + own(hidden) + others(self.mean(heard, live))), *further
-
-    def end(self, state: State) -> Float[Tensor, "*batch agent hidden"]:
-        return state[1]
-
-    def mean(
+    def average(
         self,
         hidden: Float[Tensor, "*batch agent hidden"],
-        adjacency: Bool[Tensor, "*batch agent agent"],
+        live: Bool[Tensor, "*batch agent other"],
     ) -> Float[Tensor, "*batch agent hidden"]:
-        """Return the sum over live edges, divided as asked for; 0 without any."""
-        total = sum_live(hidden, adjacency)
         if self.dilutes:
-            return total / max(1, adjacency.shape[-1] - 1)
-        return total / adjacency.sum(-1, keepdim=True).clamp(min=1)
+            return mean_over_all_others(hidden, live)
+        return sum_live(hidden, live) / live.sum(-1, keepdim=True).clamp(min=1)

@@ -1,5 +1,7 @@
 """DGN: attention over neighbours and self in rounds, whose features all reach the Q head."""
 
+from typing import final
+
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
@@ -10,6 +12,7 @@ from marl_clean.settings import NonNegativeFloat, PositiveInt
 State = tuple[list[Tensor], Tensor | None]  # features of all rounds so far, the last attention
 
 
+@final
 class Dgn(Comm):
     """Attend to neighbours and oneself with several heads, and keep the features of all rounds.
 

@@ -1,13 +1,13 @@
 """DIAL: robots exchange bits, learnt through a noisy sigmoid, heard a step later."""
 
-from typing import Literal
+from typing import Literal, final
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from marl_clean.comm._joining import Joining, message_layers
 from marl_clean.comm.base import NoisyWhileLearning, Width
-from marl_clean.comm.plan import Plan
 from marl_clean.settings import NonNegativeFloat, PositiveInt
 
 
@@ -27,7 +27,8 @@ class Bits(NoisyWhileLearning):
         return (logit > 0).to(logit.dtype)
 
 
-class Dial(Plan):
+@final
+class Dial(Joining):
     """Send bits by the discretise-or-regularise unit, heard in the next step.
 
         a_j = message(h_j)
@@ -62,7 +63,10 @@ class Dial(Plan):
         max_neighbours: PositiveInt,
         noise_std: NonNegativeFloat,
     ) -> None:
-        super().__init__(in_features, message_dim, hidden, received, combine, max_neighbours)
+        message = message_layers(in_features, hidden, message_dim)
+        super().__init__(
+            message, in_features, message_dim, hidden, received, combine, max_neighbours
+        )
         self.bits = Bits(noise_std)
 
     def speak(

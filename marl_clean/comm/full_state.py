@@ -1,23 +1,17 @@
 """The paper's first option: robots in contact share all that they see (§3.4)."""
 
-from typing import Literal
+from typing import Literal, final
 
-import torch
-from jaxtyping import Bool, Float, Int
-from torch import Tensor
+from jaxtyping import Float
+from torch import Tensor, nn
 
-from marl_clean.comm.base import (
-    Comm,
-    Width,
-    dense,
-    nearest_live,
-    outgoing,
-    sum_live,
-)
+from marl_clean.comm._joining import Joining
+from marl_clean.comm.base import Width, outgoing
 from marl_clean.settings import PositiveInt
 
 
-class FullState(Comm):
+@final
+class FullState(Joining):
     """Robots in contact share their whole observation: no bottleneck, an upper bound.
 
         r_j = relu(W_r h_j)                       j's observation, through the same encoder
@@ -50,14 +44,10 @@ class FullState(Comm):
         max_neighbours: PositiveInt,
         detach: bool,
     ) -> None:
-        super().__init__()
-        self.observed = observed
-        self.places = max_neighbours if combine == "ordered" else None
-        self.detach = detach
-        self.received = dense(in_features, received)
-        self.own = dense(in_features, hidden)
-        self.join = dense(hidden + received * (self.places or 1), hidden)
-        self.message_dims, self.out_features = (in_features,), hidden
+        super().__init__(
+            nn.Identity(), in_features, in_features, hidden, received, combine, max_neighbours
+        )
+        self.observed, self.detach = observed, detach
 
     def numbers(self, round_index: int) -> int:
         return self.observed
@@ -66,18 +56,3 @@ class FullState(Comm):
         self, state: Float[Tensor, "*batch agent feature"], round_index: int
     ) -> Float[Tensor, "*batch agent feature"]:
         return outgoing(state, self.detach)
-
-    def listen(
-        self,
-        state: Float[Tensor, "*batch agent feature"],
-        heard: Float[Tensor, "*batch agent message"],
-        live: Bool[Tensor, "*batch agent other"],
-        distance_rank: Int[Tensor, "*batch agent other"],
-        round_index: int,
-    ) -> Float[Tensor, "*batch agent joined"]:
-        received = self.received(heard)
-        if self.places is None:
-            neighbours = sum_live(received, live)
-        else:
-            neighbours = nearest_live(received, live, distance_rank, self.places)
-        return self.join(torch.cat([self.own(state), neighbours], dim=-1))

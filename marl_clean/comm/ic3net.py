@@ -1,11 +1,13 @@
 """IC3Net: a robot decides whether it speaks at all."""
 
+from typing import final
+
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from marl_clean.comm._hidden_states import HiddenStates, State, mean_over_all_others
 from marl_clean.comm.base import NoisyWhileLearning, Width, outgoing
-from marl_clean.comm.commnet import CommNet, State
 from marl_clean.settings import PositiveFloat, PositiveInt
 
 
@@ -33,7 +35,8 @@ class Gate(NoisyWhileLearning):
         return soft + ((noisy > 0).to(logit.dtype) - soft).detach()
 
 
-class Ic3Net(CommNet):
+@final
+class Ic3Net(HiddenStates):
     """Hear the sum of what others choose to send, over how many others there are.
 
         x_i = W_x feature_i,    h_i = tanh(x_i),    g_i = gate(h_i), 0 or 1, once a step
@@ -54,6 +57,8 @@ class Ic3Net(CommNet):
         detach: a receiver's loss does not reach the sender's hidden state, only the gate's weights.
     """
 
+    dilutes = True
+
     def __init__(
         self,
         in_features: Width,
@@ -62,8 +67,15 @@ class Ic3Net(CommNet):
         temperature: PositiveFloat,
         detach: bool,
     ) -> None:
-        super().__init__(in_features, hidden, rounds, divisor="others", detach=detach)
+        super().__init__(in_features, hidden, rounds, detach)
         self.speaks = Gate(hidden, temperature)
+
+    def average(
+        self,
+        hidden: Float[Tensor, "*batch agent hidden"],
+        live: Bool[Tensor, "*batch agent other"],
+    ) -> Float[Tensor, "*batch agent hidden"]:
+        return mean_over_all_others(hidden, live)
 
     def begin(self, feature: Float[Tensor, "*batch agent feature"]) -> State:
         skip, hidden = super().begin(feature)

@@ -1,11 +1,14 @@
 """No communication: every robot decides from what it sees itself."""
 
+from typing import final
+
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from marl_clean.comm.base import Comm, Width
 
 
+@final
 class Silent(Comm):
     """Return the features unchanged; messages are empty and cost nothing."""
 

@@ -1,16 +1,14 @@
 """The paper's approach 2: robots in contact share a learnt vector, their plan (§3.4, figure 4)."""
 
-from typing import Literal
+from typing import Literal, final
 
-import torch
-from jaxtyping import Bool, Float, Int
-from torch import Tensor, nn
-
-from marl_clean.comm.base import Comm, Width, dense, nearest_live, sum_live
+from marl_clean.comm._joining import Joining, message_layers
+from marl_clean.comm.base import Width
 from marl_clean.settings import PositiveInt
 
 
-class Plan(Comm):
+@final
+class Plan(Joining):
     """Join each robot's features with the plans of the robots it is in contact with.
 
         m_j = message(h_j)                        the plan robot j sends
@@ -40,32 +38,7 @@ class Plan(Comm):
         combine: Literal["ordered", "sum"],
         max_neighbours: PositiveInt,
     ) -> None:
-        super().__init__()
-        self.places = max_neighbours if combine == "ordered" else None
-        self.message = nn.Sequential(
-            nn.Linear(in_features, hidden), nn.ReLU(), nn.Linear(hidden, message_dim)
+        message = message_layers(in_features, hidden, message_dim)
+        super().__init__(
+            message, in_features, message_dim, hidden, received, combine, max_neighbours
         )
-        self.received = dense(message_dim, received)
-        self.own = dense(in_features, hidden)
-        self.join = dense(hidden + received * (self.places or 1), hidden)
-        self.message_dims, self.out_features = (message_dim,), hidden
-
-    def speak(
-        self, state: Float[Tensor, "*batch agent feature"], round_index: int
-    ) -> Float[Tensor, "*batch agent message"]:
-        return self.message(state)
-
-    def listen(
-        self,
-        state: Float[Tensor, "*batch agent feature"],
-        heard: Float[Tensor, "*batch agent message"],
-        live: Bool[Tensor, "*batch agent other"],
-        distance_rank: Int[Tensor, "*batch agent other"],
-        round_index: int,
-    ) -> Float[Tensor, "*batch agent joined"]:
-        received = self.received(heard)
-        if self.places is None:
-            neighbours = sum_live(received, live)
-        else:
-            neighbours = nearest_live(received, live, distance_rank, self.places)
-        return self.join(torch.cat([self.own(state), neighbours], dim=-1))

@@ -1,5 +1,7 @@
 """TarMAC: messages carry a signature, and receivers look for what they need."""
 
+from typing import final
+
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
@@ -8,6 +10,7 @@ from marl_clean.comm.base import Comm, Width, attend, outgoing
 from marl_clean.settings import PositiveInt
 
 
+@final
 class TarMac(Comm):
     """Send a signature and a value; receivers weigh values by how signatures meet their query.
 

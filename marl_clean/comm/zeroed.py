@@ -1,23 +1,46 @@
 """The silent twin of `plan`: a control for what its parameters alone bring."""
 
+from typing import Literal, final
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from marl_clean.comm.plan import Plan
+from marl_clean.comm._joining import Joining, message_layers
+from marl_clean.comm.base import Width
+from marl_clean.settings import PositiveInt
 
 
-class Zeroed(Plan):
+@final
+class Zeroed(Joining):
     """The parameters of `plan`, fed zeros in the place of what is received; nothing crosses.
 
         h'_i = relu(W [relu(W_o h_i), 0])
 
     So `plan` against `zeroed` shows what messages bring, and `zeroed` against `none` what a
-    larger network brings. Settings are those of `marl_clean.comm.plan.Plan`. Messages are still
-    made and masked, so a step takes as long and every weight has a gradient, which is 0.
+    larger network brings. Messages are still made and masked, so a step takes as long and every
+    weight has a gradient, which is 0.
 
     Source: our control.
+
+    Args:
+        in_features: length of the encoder's features.
+        message_dim, hidden, received, combine, max_neighbours: as in `marl_clean.comm.plan.Plan`.
     """
+
+    def __init__(
+        self,
+        in_features: Width,
+        message_dim: PositiveInt,
+        hidden: PositiveInt,
+        received: PositiveInt,
+        combine: Literal["ordered", "sum"],
+        max_neighbours: PositiveInt,
+    ) -> None:
+        message = message_layers(in_features, hidden, message_dim)
+        super().__init__(
+            message, in_features, message_dim, hidden, received, combine, max_neighbours
+        )
 
     @property
     def rounds(self) -> int:

@@ -159,4 +159,4 @@ def intervened(policy: Greedy, channel: Callable[[Dims], Channel]) -> Greedy:
     """The same policy, hearing through one more channel."""
     network = copy.deepcopy(policy.network)
     network.put_behind(channel(tuple(network.comm.message_dims)))
-    return Greedy(network, policy.n_agents, acting=True, records_messages=True).eval()
+    return Greedy(network, policy.n_agents, records_messages=True).eval()

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from jaxtyping import Float
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
@@ -81,56 +82,38 @@ def give_robots_endings(frames: TensorDictBase) -> None:
         frames["next", keys.AGENTS, key] = frames["next", key].unsqueeze(-1).expand(shape)
 
 
-def take_team_reward(frames: TensorDictBase) -> None:
-    """Write what the team is paid, `[*B, 1]`: under `reward=team` it is the same for each robot."""
-    frames["next", "reward"] = frames["next", keys.REWARD][..., 0, :]
-    frames[keys.STEPS_TO_NEXT_OBS] = frames[keys.STEPS_TO_NEXT_OBS].unsqueeze(-1)
+def team_reward(frames: TensorDictBase) -> Float[Tensor, "*batch 1"]:
+    """Return what the team is paid: under `reward=team` it is the same for each robot."""
+    return frames["next", keys.REWARD][..., 0, :]
 
 
 class Greedy(TensorDictModuleBase):
     """Every robot's best action, by values or by logits: what TorchRL calls a Q-value actor.
 
     One module in the place of three (network, choice, their sequence): a third of their time
-    outside of the network, which counts where the network is small.
+    outside of the network, which counts where the network is small. What the network carries is
+    written into the next frame.
 
     Args:
         network: values, or logits, of the robots' actions.
         n_agents: robots in a world.
-        acting: it acts in an env, so what the network carries is written into the next frame;
-            otherwise it learns, from frames that hold what was carried.
         records_messages: what was sent is written into the frame, too.
-        replays_messages: the messages that a frame holds are heard as they were sent then.
     """
 
-    def __init__(
-        self,
-        network: RobotsNetwork,
-        n_agents: int,
-        acting: bool,
-        records_messages: bool,
-        replays_messages: bool = False,
-    ) -> None:
+    def __init__(self, network: RobotsNetwork, n_agents: int, records_messages: bool) -> None:
         super().__init__()
-        self.network, self.n_agents, self.acting = network, n_agents, acting
-        self.records_messages, self.replays_messages = records_messages, replays_messages
+        self.network, self.n_agents, self.records_messages = network, n_agents, records_messages
         self.in_keys = list(network.sees)
         self.out_keys = [keys.ACTION, keys.ACTION_VALUE, keys.CHOSEN_ACTION_VALUE]
         if records_messages:
             self.out_keys += OF_MESSAGES
-        if acting:
-            self.out_keys += [("next", key) for key in network.carries]
+        self.out_keys += [("next", key) for key in network.carries]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        seen = entries(self.network, tensordict)
-        sent = tensordict.get(keys.MESSAGE) if self.replays_messages else None
-        if not self.acting and keys.IS_INIT in tensordict.keys():
-            value = self.network.unroll(tensordict.get(keys.IS_INIT), seen, sent)
-        else:
-            value, talk, carried = self.network(seen, sent)
-            if self.acting:
-                record_carried(tensordict, carried)
-            if self.records_messages:
-                record_messages(tensordict, talk)
+        value, talk, carried = self.network(entries(self.network, tensordict))
+        record_carried(tensordict, carried)
+        if self.records_messages:
+            record_messages(tensordict, talk)
         chosen, action = value.max(-1, keepdim=True)
         tensordict.set(keys.ACTION_VALUE, value)
         tensordict.set(keys.CHOSEN_ACTION_VALUE, chosen)

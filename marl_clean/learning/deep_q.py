@@ -1,18 +1,20 @@
 """Deep Q-learning, as several learners share it."""
 
+import copy
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import torch
+from jaxtyping import Float, Int
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import expand_as_right
 from torch import Tensor, nn
+from torch.nn import functional
 from torchrl.data import Composite
 from torchrl.modules import EGreedyModule
-from torchrl.objectives import DQNLoss, HardUpdate, LossModule, SoftUpdate
-from torchrl.objectives.utils import TargetNetUpdater
 
 from marl_clean import keys
 from marl_clean.comm.base import Comm
@@ -23,17 +25,11 @@ from marl_clean.learning.agent import Agent, Channels, Count
 from marl_clean.learning.networks import NUM_ACTIONS, noisy_parts, set_noise
 from marl_clean.settings import PositiveFloat, PositiveInt, PositiveShare, Precision, Probability
 
-
-class SoftUpdateAtOnce(SoftUpdate):
-    """TorchRL's soft update, with one call for all weights: a tenth of its time."""
-
-    def init_(self) -> None:
-        super().init_()
-        self._weights = [weight.data for weight in self._sources.values(True, True)]
-        self._followers = [weight.data for weight in self._targets.values(True, True)]
-
-    def step(self) -> None:
-        torch._foreach_lerp_(self._followers, self._weights, 1 - self.eps)
+DISTANCES = {
+    "smooth_l1": functional.smooth_l1_loss,
+    "l2": functional.mse_loss,
+    "l1": functional.l1_loss,
+}
 
 
 class DeepQ(Agent):
@@ -61,20 +57,17 @@ class DeepQ(Agent):
         eps_init, eps_end, annealing_fraction: the share of random actions falls linearly from
             the one to the other over this fraction of the frames, and stays.
         precision: the encoder's arithmetic; bfloat16 is faster.
-        augment: learn from each frame turned or mirrored, the same way for all its robots.
+        augment: learn from each frame rotated or mirrored, alike for all its robots.
         messages: in learning, made anew by the present weights, or those that were sent; of the
             next frame they are always made anew.
         next_graph: who talks to whom in the next frame: as it was then, or as in this one.
-        state_shape: of the true state, for learners that are told it.
+        state_shape: of the true state, for learners that need it.
         n_agents: robots in a world.
         num_actions: actions of a robot.
         device: where the network lives.
     """
 
     fits = {"trainer": ["off_policy"]}
-    network_of_loss: ClassVar[str] = "value_network"  # what the loss calls it
-    only_in_loss: ClassVar[Sequence[str]] = ()  # and modules beside it
-    loss_keys: ClassVar[Mapping[str, NestedKey]]  # where DQNLoss finds its entries
 
     def __init__(
         self,
@@ -107,29 +100,25 @@ class DeepQ(Agent):
         self.gamma, self.n_steps = gamma, n_steps
         self.eps_init, self.eps_end, self.annealing_fraction = eps_init, eps_end, annealing_fraction
         self.lr, self.lr_end = lr, lr_end
-        self.max_grad_norm = max_grad_norm
+        self.double, self.distance, self.max_grad_norm = double, DISTANCES[loss], max_grad_norm
+        self.target_update, self.tau, self.target_period = target_update, tau, target_period
         self.augment, self.messages, self.next_graph = augment, messages, next_graph
         self.state_shape = state_shape
         self.n_agents, self.num_actions, self.device = n_agents, num_actions, device
         network = self.make_network(encoder, comm, dueling, precision, channels)
         self.network = network.to(device).eval()
-        self._greedy = self.make_greedy(acting=False, records_messages=False).eval()
         if augment and self.unrolls:
             raise BadInput(
-                "agent.augment=true: turns single frames, and this network learns from frames in a"
-                " row; valid: false"
+                "agent.augment=true: rotates single frames, and this network learns from frames in"
+                " a row; valid: false"
             )
-        self._loss = self.make_loss(loss, double)
-        self._loss.set_keys(**self.loss_keys)
-        self._loss.make_value_estimator(gamma=gamma)
-        self._target: TargetNetUpdater
-        if target_update == "soft":
-            self._target = SoftUpdateAtOnce(self._loss, tau=tau)
-        else:  # HardUpdate copies in the update after its interval is full
-            self._target = HardUpdate(self._loss, value_network_update_interval=target_period - 1)
-        self._noisy = noisy_parts(self.network)
-        learnt = nn.ModuleList([self.network, *self.only_in_learning()])
-        self._parameters = list(learnt.parameters())
+        beside = {name: part.to(device) for name, part in self.only_in_learning().items()}
+        self.learnt = nn.ModuleDict({"network": self.network, **beside})
+        self.target = copy.deepcopy(self.learnt).requires_grad_(False)
+        self._noisy = [*noisy_parts(self.learnt), *noisy_parts(self.target)]
+        self._parameters: list[Tensor] = list(self.learnt.parameters())
+        self._followers: list[Tensor] = list(self.target.parameters())
+        self._updates_since_copy = 0
         self._optimiser = torch.optim.Adam(self._parameters, lr=lr, fused=True)
         self._coin: EGreedyModule | None = None
         self.anneal(0.0)
@@ -161,29 +150,62 @@ class DeepQ(Agent):
         """Return the network from `sees` to the values of `num_actions` or their combinations."""
 
     @abstractmethod
-    def make_greedy(self, acting: bool, records_messages: bool) -> TensorDictModuleBase:
+    def make_greedy(self, records_messages: bool) -> TensorDictModuleBase:
         """Return the policy of the best actions.
 
-        `acting`: in an env, rather than in the loss; `records_messages`: where any are sent, what
-        was sent is written into the frame, too.
+        `records_messages`: where any are sent, what was sent is written into the frame, too.
         """
 
-    def make_loss(self, function: str, double: bool) -> LossModule:
-        """Return TorchRL's loss, its target networks included."""
-        return DQNLoss(
-            self._greedy, loss_function=function, double_dqn=double, action_space="categorical"
-        )
-
-    def only_in_learning(self) -> Sequence[nn.Module]:
-        """Return modules beside the network that are learnt, and that acting does without."""
-        return ()
+    @abstractmethod
+    def values(self, network: Any, frames: TensorDictBase) -> Float[Tensor, "*batch action"]:
+        """Return the values of all actions by the network, the online or the target one."""
 
     @abstractmethod
-    def for_loss(self, frames: TensorDictBase) -> None:
-        """Add what the loss wants in its own shape: endings, steps, and what the learner needs."""
+    def reward(self, frames: TensorDictBase) -> Float[Tensor, "*batch 1"]:
+        """Return what is learnt to be expected: the rewards of the robots, or of their team."""
+
+    def action(self, frames: TensorDictBase) -> Int[Tensor, "*batch"]:
+        """Return which actions were taken, as `values` numbers them."""
+        return frames[keys.ACTION]
+
+    def value_of(
+        self,
+        modules: nn.ModuleDict,
+        value: Float[Tensor, "*batch action"],
+        action: Int[Tensor, "*batch"],
+        frames: TensorDictBase,
+    ) -> Float[Tensor, "*batch_of_reward 1"]:
+        """Return the value of these actions by modules such as `learnt`, in the reward's shape."""
+        return value.gather(-1, action.unsqueeze(-1))
+
+    def only_in_learning(self) -> dict[str, nn.Module]:
+        """Make the modules beside the network that are learnt, and that acting does without."""
+        return {}
+
+    def loss(self, frames: TensorDictBase) -> Float[Tensor, ""]:
+        """Return how far the values of the actions taken are from their targets.
+
+            y = r + gamma^k (1 - terminated) Q'(o', a'),    a' = argmax over a of Q(o', a)
+            loss = Huber(Q(o, a) - y), mean over the batch
+
+        Without `double`, a' is the best by Q' itself. With a mixer, Q and Q' are the team's.
+        """
+        then, reward = frames["next"], self.reward(frames)
+        value = self.values(self.learnt["network"], frames)
+        value = self.value_of(self.learnt, value, self.action(frames), frames)
+        with torch.no_grad():
+            choosing = self.values(self.learnt["network"], then) if self.double else None
+            later = self.values(self.target["network"], then)
+            best = (later if choosing is None else choosing).max(-1).indices
+            later = self.value_of(self.target, later, best, then)
+            steps = expand_as_right(frames[keys.STEPS_TO_NEXT_OBS], reward)
+            terminated = expand_as_right(then[keys.TERMINATED].squeeze(-1), reward)
+            discount = torch.as_tensor(self.gamma) ** steps
+            target = reward + discount * (~terminated).int() * later
+        return self.distance(value, target, reduction="none").mean()
 
     def policy(self) -> TensorDictModuleBase:
-        return self.make_greedy(acting=True, records_messages=True).eval()
+        return self.make_greedy(records_messages=True).eval()
 
     def coin(self, action_spec: Composite, action_key: NestedKey) -> EGreedyModule:
         """Return TorchRL's epsilon-greedy module, whose epsilon `anneal` sets.
@@ -208,17 +230,28 @@ class DeepQ(Agent):
         """Take one step of Adam on a batch of frames, then let the target network follow."""
         set_noise(self._noisy, True)
         frames = self._frames_to_learn(batch)
-        loss = self._loss(frames)["loss"] + self.side_loss(frames)
+        loss = self.loss(frames) + self.side_loss(frames)
         self._optimiser.zero_grad()
         loss.backward()
         grad_norm = nn.utils.clip_grad_norm_(self._parameters, self.max_grad_norm)
         self._optimiser.step()
-        self._target.step()
+        self._follow()
         set_noise(self._noisy, False)
         return {"loss": loss.detach(), "grad_norm": grad_norm}
 
+    @torch.no_grad()
+    def _follow(self) -> None:
+        """Let the target network follow in place: a little, or wholly every `target_period`."""
+        if self.target_update == "soft":
+            torch._foreach_lerp_(self._followers, self._parameters, self.tau)
+            return
+        self._updates_since_copy += 1
+        if self._updates_since_copy == self.target_period:
+            torch._foreach_copy_(self._followers, self._parameters)
+            self._updates_since_copy = 0
+
     def _frames_to_learn(self, batch: TensorDictBase) -> TensorDictBase:
-        """Return the batch as the loss wants it; turned and mirrored if augmented."""
+        """Return the batch as the loss wants it; rotated and mirrored if augmented."""
         frames = batch.select(*self.learns_from, keys.STEPS_TO_NEXT_OBS)
         if self.augment:
             now, then = frames[keys.OBSERVATION], frames["next", keys.OBSERVATION]
@@ -228,7 +261,6 @@ class DeepQ(Agent):
         if self.next_graph == "reused":
             for key in (keys.ADJACENCY, keys.DISTANCE_RANK):
                 frames["next", key] = frames[key]
-        self.for_loss(frames)
         return frames
 
     def side_loss(self, frames: TensorDictBase) -> Tensor | float:
@@ -239,32 +271,28 @@ class DeepQ(Agent):
         """Return weights, target weights, Adam's moments and the target's counter."""
         return {
             "network": self.network.state_dict(),
-            "only_in_learning": [m.state_dict() for m in self.only_in_learning()],
+            "only_in_learning": [m.state_dict() for m in self._beside_network()],
             "target": self._target_weights(),
             "optimiser": self._optimiser.state_dict(),
-            "target_update": self._target.state_dict(),
+            "target_update": {"counter": self._updates_since_copy},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from a state of `state_dict`, exactly."""
         self.network.load_state_dict(state["network"])
         for module, weights in zip(
-            self.only_in_learning(), state.get("only_in_learning", ()), strict=True
+            self._beside_network(), state.get("only_in_learning", ()), strict=True
         ):
             module.load_state_dict(weights)
         for name, weight in self._target_weights().items():
             weight.copy_(state["target"][name])
         self._optimiser.load_state_dict(state["optimiser"])
-        self._target.load_state_dict(state["target_update"])
+        self._updates_since_copy = state["target_update"].get("counter", 0)
+
+    def _beside_network(self) -> list[nn.Module]:
+        return [module for name, module in self.learnt.items() if name != "network"]
 
     def _target_weights(self) -> dict[str, Tensor]:
-        """Return the target network's weights by the names that the network gives its own.
-
-        Those of what is only learnt with follow, by names of their own.
-        """
-        of_network = getattr(self._loss, f"target_{self.network_of_loss}_params")["network"]
-        weights = {name: weight.data for name, weight in of_network.flatten_keys(".").items()}
-        for module in self.only_in_loss:
-            parameters = getattr(self._loss, f"target_{module}_params").flatten_keys(".")
-            weights |= {f"{module}.{name}": weight.data for name, weight in parameters.items()}
-        return weights
+        """Return the target's weights: the network's by its own names, others by their module's."""
+        weights = self.target.state_dict()
+        return {name.removeprefix("network."): weight for name, weight in weights.items()}

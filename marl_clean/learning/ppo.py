@@ -203,7 +203,7 @@ class Ppo(Agent):
         return (*now, *(("next", key) for key in later))
 
     def policy(self) -> Greedy:
-        return Greedy(self.network, self.n_agents, acting=True, records_messages=True).eval()
+        return Greedy(self.network, self.n_agents, records_messages=True).eval()
 
     def exploration(self, action_spec: Composite) -> TensorDictModuleBase:
         """Return the policy that draws; it draws under TorchRL's `ExplorationType.RANDOM`."""

@@ -70,7 +70,7 @@ def talked(channels: Sequence[Channel], comm: Comm, frames: Frames) -> list[Talk
         delivery = Stacked(channels, live, rank, comm.rounds, word, states, comm.gated)
         require(not (delivery.sent & ~live).any(), "address sends over an edge that is not live")
         talks.append(comm(feature, live, rank, delivery))
-        after = iter(delivery.states_after())
+        after = iter(delivery.states_after().values())
         states = [None if state is None else next(after) for state in states]
         for state, spec in zip(states, specs, strict=True):
             if state is not None and spec is not None:

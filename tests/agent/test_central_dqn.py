@@ -67,7 +67,7 @@ def test_it_is_paid_exactly_the_sum_of_the_robots_rewards():
     env, agent = make("env.n_agents=4")
     td = env.rollout(20, break_when_any_done=False)[:, -1]
     td[keys.STEPS_TO_NEXT_OBS] = torch.ones(6, dtype=torch.int64)
-    learnt = agent._frames_to_learn(td)["next", "reward"]
+    learnt = agent.reward(agent._frames_to_learn(td))
     assert torch.equal(learnt, td["next", keys.OWN_REWARD].sum(-2))
 
 

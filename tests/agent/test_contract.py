@@ -166,7 +166,7 @@ def test_vdn_adds_values_and_rewards_up():
 
 def test_qmix_mixes_by_the_state():
     agent, batch = moved("qmix"), team_batch()
-    mixer = copy.deepcopy(agent.mixer.module)
+    mixer = copy.deepcopy(agent.learnt["mixer_network"].module)
     online = dict(mixer.named_parameters())
     held = {
         n.removeprefix("mixer_network.module."): w
@@ -188,25 +188,24 @@ def test_mixing_is_monotonous():
     agent = moved("qmix")
     values = torch.randn(20, 2, 1, requires_grad=True)
     state = (torch.rand(20, *STATE_SHAPE) < 0.5).float()
-    (grad,) = torch.autograd.grad(agent.mixer.module(values, state).sum(), values)
+    (grad,) = torch.autograd.grad(agent.learnt["mixer_network"].module(values, state).sum(), values)
     assert (grad >= 0).all() and grad.any()
 
 
 class MeanOfRewards(Vdn):
-    def for_loss(self, frames):
-        super().for_loss(frames)
-        frames["next", "reward"] = frames["next", "reward"] / self.n_agents
+    def reward(self, frames):
+        return super().reward(frames) / self.n_agents
 
 
 class NeverEnds(Vdn):
-    def for_loss(self, frames):
-        super().for_loss(frames)
+    def loss(self, frames):
         frames["next", "terminated"] = torch.zeros_like(frames["next", "terminated"])
+        return super().loss(frames)
 
 
 class ChosenByTheTarget(Vdn):
     def update(self, batch):
-        self._loss.double = False
+        self.double = False
         return super().update(batch)
 
 

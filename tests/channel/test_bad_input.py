@@ -29,7 +29,7 @@ from marl_clean import cli
             ["agent=ippo", "trainer=on_policy", "trainer.minibatch_frames=500"],
             "trainer.minibatch_frames=500: must divide trainer.frames_per_batch=4096",
         ),
-        (["encoder.memory=gru", "agent.augment=true"], "agent.augment=true: turns single frames"),
+        (["encoder.memory=gru", "agent.augment=true"], "agent.augment=true: rotates single frames"),
         (
             ["agent=central_dqn", "comm=none", "reward=team", "encoder.memory=gru"],
             "encoder.memory=gru: agent=central_dqn has no memory; valid: none",

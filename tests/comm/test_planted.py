@@ -20,7 +20,7 @@ from tests.comm import equations
 class LeakingMean(CommNet):
     """Masks by multiplication with 0."""
 
-    def mean(self, hidden, adjacency):
+    def average(self, hidden, adjacency):
         live = adjacency.to(hidden.dtype)
         return live @ hidden / adjacency.sum(-1, keepdim=True).clamp(min=1)
 
@@ -28,8 +28,8 @@ class LeakingMean(CommNet):
 class SilentCounted(CommNet):
     """Says `live` and divides by all others."""
 
-    def mean(self, hidden, adjacency):
-        return super().mean(hidden, adjacency) * (
+    def average(self, hidden, adjacency):
+        return super().average(hidden, adjacency) * (
             adjacency.sum(-1, keepdim=True) / max(1, adjacency.shape[-1] - 1)
         )
 
@@ -37,9 +37,9 @@ class SilentCounted(CommNet):
 class ItselfHeard(CommNet):
     """The mean counts the robot itself."""
 
-    def mean(self, hidden, adjacency):
+    def average(self, hidden, adjacency):
         itself = torch.eye(adjacency.shape[-1], dtype=torch.bool)
-        return super().mean(hidden, adjacency | itself)
+        return super().average(hidden, adjacency | itself)
 
 
 class Unscaled(TarMac):
@@ -75,8 +75,8 @@ class ByNumber(Plan):
 class FarOff(CommNet):
     """Hears whom its neighbours hear in the same round."""
 
-    def mean(self, hidden, adjacency):
-        return super().mean(hidden, within(adjacency, 2))
+    def average(self, hidden, adjacency):
+        return super().average(hidden, within(adjacency, 2))
 
 
 class Cheap(CommNet):

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from marl_clean.comm.commnet import CommNet
+from marl_clean.comm._hidden_states import HiddenStates
 from marl_clean.testing._broken import Clause
 from marl_clean.testing.comm import CLAUSES
 from tests.comm.contract import DILUTED, VARIANTS, draw, line, make, maker_of
@@ -42,12 +42,12 @@ def test_everybody_within_the_rounds_is_heard(variant: tuple[str, dict]) -> None
 @pytest.mark.parametrize("variant", DILUTED, ids=name_of)
 def test_robots_out_of_reach_dilute_where_all_others_divide(variant: tuple[str, dict]) -> None:
     comm = make(variant[0], **variant[1])
-    assert isinstance(comm, CommNet)
+    assert isinstance(comm, HiddenStates)
     hidden, live, _ = draw(3, n_agents=5, share=0.7)
     live[:, 2], live[:, :, 2] = False, False
     kept = torch.tensor([0, 1, 3, 4])
-    fewer = comm.mean(hidden[:, kept], live[:, kept][..., kept])
-    torch.testing.assert_close(comm.mean(hidden, live)[:, kept], fewer * 3 / 4)
+    fewer = comm.average(hidden[:, kept], live[:, kept][..., kept])
+    torch.testing.assert_close(comm.average(hidden, live)[:, kept], fewer * 3 / 4)
 
 
 def test_some_speak_and_some_do_not() -> None:

@@ -1,0 +1,66 @@
+"""What schemes share that join a robot's features with what it received of its neighbours."""
+
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from marl_clean.comm.base import Comm, Width, dense, nearest_live, sum_live
+
+
+class Joining(Comm):
+    """Send one message a step, and join each robot's features with those it receives.
+
+        r_j = relu(W_r m_j)                       a received message, through its own block
+        ordered: c_i = [r_j of i's nearest live edge, of the next, ..., 0 for an empty place]
+        sum:     c_i = sum over live edges of r_j
+        h'_i = relu(W [relu(W_o h_i), c_i])
+
+    Attributes:
+        message: the module from a robot's features to its message.
+        places: of `ordered`; None for `sum`.
+    """
+
+    def __init__(
+        self,
+        message: nn.Module,
+        in_features: Width,
+        message_dim: Width,
+        hidden: Width,
+        received: Width,
+        combine: Literal["ordered", "sum"],
+        max_neighbours: Width,
+    ) -> None:
+        super().__init__()
+        self.places = max_neighbours if combine == "ordered" else None
+        self.message = message
+        self.received = dense(message_dim, received)
+        self.own = dense(in_features, hidden)
+        self.join = dense(hidden + received * (self.places or 1), hidden)
+        self.message_dims, self.out_features = (message_dim,), hidden
+
+    def speak(
+        self, state: Float[Tensor, "*batch agent feature"], round_index: int
+    ) -> Float[Tensor, "*batch agent message"]:
+        return self.message(state)
+
+    def listen(
+        self,
+        state: Float[Tensor, "*batch agent feature"],
+        heard: Float[Tensor, "*batch agent message"],
+        live: Bool[Tensor, "*batch agent other"],
+        distance_rank: Int[Tensor, "*batch agent other"],
+        round_index: int,
+    ) -> Float[Tensor, "*batch agent joined"]:
+        received = self.received(heard)
+        if self.places is None:
+            neighbours = sum_live(received, live)
+        else:
+            neighbours = nearest_live(received, live, distance_rank, self.places)
+        return self.join(torch.cat([self.own(state), neighbours], dim=-1))
+
+
+def message_layers(in_features: int, hidden: int, message_dim: int) -> nn.Sequential:
+    """Return the layers that make a message of features: the paper's plan (§3.4, figure 4)."""
+    return nn.Sequential(nn.Linear(in_features, hidden), nn.ReLU(), nn.Linear(hidden, message_dim))
