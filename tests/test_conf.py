@@ -15,7 +15,8 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "marl_clean"
 CONF = ROOT / "conf"
 PRESETS = sorted(path for group in levels.PRESETS for path in CONF.glob(f"{group}/*.yaml"))
-LEVELS = sorted(set(CONF.glob("*/*.yaml")) - set(PRESETS))
+SHARED = sorted(CONF.glob("*/_*.yaml"))  # by levels of a room, and none themselves
+LEVELS = sorted(set(CONF.glob("*/*.yaml")) - {*PRESETS, *SHARED})
 
 # Rooms that hold nothing but levels; env/ is a workroom that has one.
 ROOMS = sorted({path.parent.name for path in LEVELS} - {"env"})
@@ -77,12 +78,12 @@ def test_a_yaml_belongs_to_the_file_of_its_name(path: Path) -> None:
 def test_a_level_has_a_yaml(room: str) -> None:
     files = {path.stem for path in (PACKAGE / room).glob("*.py")} - {"base"}
     files = {name for name in files if not name.startswith("_")}
-    assert files == {path.stem for path in (CONF / room).glob("*.yaml")}
+    assert files == {path.stem for path in (CONF / room).glob("[!_]*.yaml")}
 
 
 @pytest.mark.parametrize("path", LEVELS, ids=name_of)
 def test_keys_are_the_parameters_of_the_constructor(path: Path) -> None:
-    section = yaml.safe_load(path.read_text())
+    section = levels.read_level(path.parent.name, path.stem)
     accepted = set(class_source.parameters(section["_target_"]))
     assert set(section) - {"_target_"} == accepted - HANDED_OVER
 
@@ -102,7 +103,7 @@ def test_a_level_is_final_and_no_other_levels_base(path: Path) -> None:
     assert others.isdisjoint(level.__mro__)
 
 
-@pytest.mark.parametrize("path", [*LEVELS, CONF / "config.yaml"], ids=name_of)
+@pytest.mark.parametrize("path", [*LEVELS, *SHARED, CONF / "config.yaml"], ids=name_of)
 def test_every_key_is_explained(path: Path) -> None:
     ours = path.read_text().partition("\nhydra:")[0].splitlines()
     keys = [line for line in ours if re.match(r"\s*(- )?\w+: \S", line)]

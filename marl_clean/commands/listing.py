@@ -1,12 +1,10 @@
 """`marl-clean list`: the rooms and their levels, a line each."""
 
 import ast
-from pathlib import Path
 
 from marl_clean.config.class_source import definition
-from marl_clean.config.levels import PRESETS, conf_folder, groups, rooms
+from marl_clean.config.levels import PRESETS, groups, read_level, rooms
 from marl_clean.config.stored import shipped_runs
-from marl_clean.storage.safe_yaml import load_yaml
 
 
 def lines() -> list[str]:
@@ -14,11 +12,10 @@ def lines() -> list[str]:
 
     After the rooms come the presets, and the trained runs that ship.
     """
-    folder = conf_folder()
     result = []
     for room, levels in rooms().items():
         width = max(map(len, levels), default=0)
-        claims = (claim(folder / room / f"{level}.yaml") for level in levels)
+        claims = (claim(read_level(room, level)["_target_"]) for level in levels)
         lines_ = zip(levels, claims, strict=True)
         result += [room, *(f"  {level:{width}}  {text}" for level, text in lines_)]
     for preset in PRESETS:
@@ -26,7 +23,7 @@ def lines() -> list[str]:
     return [*result, "checkpoint=", *(f"  {name}" for name in shipped_runs())]
 
 
-def claim(level: Path) -> str:
-    """The first line of the docstring of the class that a level's yaml names, by `ast`."""
-    docstring = ast.get_docstring(definition(load_yaml(level)["_target_"])) or ""
+def claim(target: str) -> str:
+    """The first line of the docstring of the class `target`, by `ast`."""
+    docstring = ast.get_docstring(definition(target)) or ""
     return docstring.partition("\n")[0]

@@ -5,10 +5,9 @@ from typing import Any
 from omegaconf import DictConfig
 
 from marl_clean.config.class_source import constant
-from marl_clean.config.levels import SEVERAL, level_file, rooms
+from marl_clean.config.levels import SEVERAL, read_level, rooms
 from marl_clean.errors import BadInput
 from marl_clean.settings import Form
-from marl_clean.storage.safe_yaml import load_yaml
 
 
 def check_fit(config: DictConfig) -> None:
@@ -44,7 +43,7 @@ def check_fit(config: DictConfig) -> None:
 
 def encoders_of(form: Form) -> list[str]:
     """The encoders that take a form of observation."""
-    sections = ((level, load_yaml(level_file("encoder", level))) for level in rooms()["encoder"])
+    sections = ((level, read_level("encoder", level)) for level in rooms()["encoder"])
     return [level for level, section in sections if constant(section["_target_"], "takes") is form]
 
 

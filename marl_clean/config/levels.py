@@ -1,9 +1,11 @@
 """The rooms and their levels, as the folders and files of the packages' `conf/` name them."""
 
 from pathlib import Path
+from typing import Any
 
 from marl_clean.config.locate import own, packages
 from marl_clean.errors import BadInput
+from marl_clean.storage.safe_yaml import load_yaml
 
 EXPERIMENT = "experiment"
 BUDGET = "budget"
@@ -46,3 +48,21 @@ def level_file(group: str, level: str) -> Path:
         if path.is_file():
             return path
     raise BadInput(f"{group}={level}: no such level")
+
+
+def read_level(room: str, level: str) -> dict[str, Any]:
+    """What the yaml of a level says, with what it shares with others of its room."""
+    return _with_shared(level_file(room, level))
+
+
+def is_target(room: str, target: str) -> bool:
+    """Whether `target` is the class of one of the room's levels."""
+    likely = target.split(".")[-2:-1]
+    levels = sorted(rooms()[room], key=lambda level: [level] != likely)
+    return any(read_level(room, level).get("_target_") == target for level in levels)
+
+
+def _with_shared(path: Path) -> dict[str, Any]:
+    values = load_yaml(path)
+    shared = [_with_shared(path.with_name(f"{name}.yaml")) for name in values.pop("defaults", [])]
+    return {key: value for section in [*shared, values] for key, value in section.items()}

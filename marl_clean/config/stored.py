@@ -15,7 +15,7 @@ from marl_clean.config.class_source import constant, parameters
 from marl_clean.config.compose import PERFECT, apply, checked, compose_parsed
 from marl_clean.config.config_hash import config_hash
 from marl_clean.config.hydra_adapter import Override
-from marl_clean.config.levels import PRESETS, conf_folder, level_file, rooms
+from marl_clean.config.levels import PRESETS, conf_folder, read_level, rooms
 from marl_clean.config.locate import own
 from marl_clean.config.overrides import parse_overrides
 from marl_clean.config.schema import mismatch
@@ -175,7 +175,7 @@ def _completed(plain: dict[str, Any]) -> dict[str, Any]:
         target = str(section.get("_target_"))
         parts = target.split(".")
         if len(parts) == 4 and parts[1] == room and parts[2] in levels:
-            level = load_yaml(level_file(room, parts[2]))
+            level = read_level(room, parts[2])
             accepted = parameters(target)
             optional = [name for name in accepted if name in level and not accepted[name].required]
             whole[room] = {**{name: level[name] for name in optional}, **section}

@@ -80,13 +80,13 @@ def make_agent(comm: str = "plan", side: int = SIDE, encoder: Cnn | None = None,
     return Iql(encoder, make_comm(comm, encoder, side), **(IQL | changes))
 
 
-LEARNERS = sorted(path.stem for path in (levels.conf_folder() / "agent").glob("*.yaml"))
+LEARNERS = levels.rooms()["agent"]
 
 
 def make_learner(level: str, comm: str, **changes) -> Agent:
     """A learner by its yaml, with a small network for two robots."""
     encoder = make_encoder()
-    section = OmegaConf.load(levels.conf_folder() / "agent" / f"{level}.yaml")
+    section = OmegaConf.create(levels.read_level("agent", level))
     section = OmegaConf.create({**section, "precision": "float32"})
     parts = {"encoder": encoder, "comm": make_comm(comm, encoder), "channels": {}}
     parts |= {"n_agents": 2, "num_actions": 4}

@@ -1,0 +1,27 @@
+"""Levels as conf/ lists them: what several share stands in one file, and is no level itself."""
+
+import pytest
+from omegaconf import OmegaConf
+
+from marl_clean.config.compose import compose_config
+from marl_clean.config.levels import SEVERAL, groups, is_target, read_level, rooms
+from marl_clean.errors import BadInput
+
+
+def test_what_levels_share_is_no_level() -> None:
+    assert not [level for levels in groups().values() for level in levels if level[0] == "_"]
+    with pytest.raises(BadInput, match="^agent=_deep_q: no such level; valid: central_dqn"):
+        compose_config(["agent=_deep_q"])
+
+
+@pytest.mark.parametrize("room", sorted(set(rooms()) - {*SEVERAL, "topology"}))
+def test_a_level_is_read_as_hydra_composes_it(room: str) -> None:
+    for level in rooms()[room]:
+        section = OmegaConf.to_container(compose_config([f"{room}={level}"])[room])
+        assert section == read_level(room, level)
+
+
+def test_a_target_is_the_class_of_a_level_of_its_room() -> None:
+    assert is_target("logger", "marl_clean.logger.csv.Csv")
+    for target in ("marl_clean.logger.base.Logger", "marl_clean.comm.plan.Plan", "os.system", ""):
+        assert not is_target("logger", target)
