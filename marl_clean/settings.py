@@ -137,11 +137,16 @@ Range = Annotated[
 Ranges = Annotated[list[Range], Field(min_length=1)]
 Kinds = Annotated[list[Literal["rooms", "single_room", "open"]], Field(min_length=1)]
 
-Colour = Annotated[
-    list[Annotated[int, Field(ge=0, le=255)]],
-    Field(min_length=3, max_length=3),
-]
-Colours = Annotated[list[Colour], Field(min_length=1)]
+
+def _colours(value: list[list[int]]) -> list[list[int]]:
+    if not value or any(len(one) != 3 or not 0 <= min(one) <= max(one) <= 255 for one in value):
+        raise ValueError(
+            f"must be colours [red, green, blue] of 0 to 255, as in [[32,115,185]], not {value}"
+        )
+    return value
+
+
+Colours = Annotated[list[list[int]], AfterValidator(_colours)]
 
 
 def _folder_name(value: str) -> str:

@@ -272,3 +272,12 @@ def test_a_later_key_of_a_level_counts_where_it_has_a_value() -> None:
     named = compose_config(["house=floorplan", "house.path=apartment", COLOUR])
     assert config_hash(plan)[:8] == "a764d218"  # as before there was house.free_colours
     assert config_hash(named) != config_hash(plan)
+
+
+@pytest.mark.parametrize("value", ["[]", "[[]]", "[[1,2]]", "[[1,2,256]]", "[[1,2,-3]]"])
+def test_what_is_no_colour_is_told_what_one_is(value: str) -> None:
+    plan = ["house=floorplan", "house.path=apartment"]
+    with pytest.raises(BadInput, match=r"house.free_colours: must be colours \[red, green, blue\]"):
+        compose_config([*plan, f"house.free_colours={value}"])
+    with pytest.raises(BadInput, match="house.free_colours: must be a list, each a list"):
+        compose_config([*plan, "house.free_colours=[1,2,3]"])
