@@ -33,7 +33,6 @@ class EvaluationProgress:
         self.task = self.bar.add_task("", total=num_policies)
 
     def __enter__(self) -> "EvaluationProgress":
-        self.bar.start()
         return self
 
     def __exit__(
@@ -46,6 +45,8 @@ class EvaluationProgress:
 
     def show(self, name: str, share: float) -> None:
         """Show that of the policy `name` this share is measured; a new name is the next policy."""
+        if not self.names:
+            self.bar.start()  # not before: tasks without houses tell of no progress
         if name not in self.names:
             self.names.append(name)
         number = len(self.names)

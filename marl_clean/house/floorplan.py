@@ -83,7 +83,7 @@ class FloorPlan(House):
         if suffix in IMAGES:
             return read_image(file, self.cell_metres, self.pixel_metres, self.free_colours)
         if self.free_colours is not None:
-            raise BadInput(f"house.free_colours: for plain images, which {self.path} is not; null here")
+            raise BadInput(f"house.free_colours: {self.path} is no plain image; leave it null")
         if suffix in MAP_SERVER:
             return read_map_server(file, self.cell_metres)
         return read_movingai(file)

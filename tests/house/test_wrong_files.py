@@ -121,7 +121,7 @@ def test_a_path_and_lengths_are_asked_for() -> None:
         FloorPlan("apartment", cell_metres=0.0)
     with pytest.raises(BadInput, match="house.pixel_metres"):
         FloorPlan("apartment", pixel_metres=math.inf)
-    with pytest.raises(BadInput, match="house.free_colours: for plain images"):
+    with pytest.raises(BadInput, match="house.free_colours: apartment is no plain image"):
         FloorPlan("apartment", free_colours=[[1, 2, 3]]).layout()
     with pytest.raises(BadInput, match="did you mean 'apartment'"):
         FloorPlan("apartmen").layout()
