@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import marl_clean
 from marl_clean.config.levels import groups, rooms
 
 ROOT = Path(__file__).parents[2]
@@ -89,6 +90,13 @@ def test_files_and_modules_that_pages_name_exist(page: Path) -> None:
     paths += [module.replace(".", "/") for module in modules]
     paths = [path for path in paths if not any(name in path for name in OF_AN_EXAMPLE)]
     assert [path for path in paths if not is_there(path)] == []
+
+
+@pytest.mark.parametrize("page", TEXTS, ids=lambda page: page.name)
+def test_python_names_that_pages_call_exist(page: Path) -> None:
+    blocks = "\n".join(re.findall(r"```python\n(.*?)```", page.read_text(), re.S))
+    called = set(re.findall(r"\bmarl_clean\.(\w+)\(", blocks))
+    assert called <= set(marl_clean.__all__)
 
 
 def is_there(path: str) -> bool:
