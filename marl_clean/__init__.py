@@ -1,39 +1,48 @@
 """Robots that learn to clean a house together.
 
-    env = marl_clean.make_env(["house=open", "env.n_agents=3"])
-    policy = marl_clean.load_policy("runs/NAME")
+    run = marl_clean.train("quick", comm="tarmac", n_agents=3)
+    run.evaluate(house="apartment")
 
 Importing the package does not import torch; using it does.
 """
 
-from pathlib import Path
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
-__all__ = ["__version__", "load_policy", "make_env"]
+__all__ = [
+    "BadInput",
+    "CleaningEnv",
+    "Run",
+    "Table",
+    "__version__",
+    "compare",
+    "evaluate",
+    "load_policy",
+    "make_env",
+    "train",
+]
 
 if TYPE_CHECKING:
-    from tensordict.nn import TensorDictModule
-    from torchrl.envs import EnvBase
+    from marl_clean.env.cleaning import CleaningEnv
+    from marl_clean.errors import BadInput
+    from marl_clean.python.door import compare, evaluate, load_policy, make_env, train
+    from marl_clean.python.run import Run
+    from marl_clean.python.table import Table
+else:
+    _HOMES = {
+        "BadInput": "errors",
+        "CleaningEnv": "env.cleaning",
+        "Run": "python.run",
+        "Table": "python.table",
+        **dict.fromkeys(("compare", "evaluate", "load_policy", "make_env", "train"), "python.door"),
+    }
 
+    def __getattr__(name: str) -> Any:
+        """Import what is asked for when it is asked for."""
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
 
-def make_env(overrides: list[str] | None = None) -> "EnvBase":
-    """The TorchRL env of a config, as `marl-clean train` would build it.
-
-    Raises BadInput on a wrong setting.
-    """
-    from marl_clean.build import make_env as from_config
-    from marl_clean.config.compose import compose_config
-
-    return from_config(compose_config(overrides or []))
-
-
-def load_policy(run: str | Path) -> "TensorDictModule":
-    """The best policy of a run, given by folder or name: observation (and adjacency) to action.
-
-    Raises BadInput when there is no such run or its files do not fit.
-    """
-    from marl_clean.build import load_policy as from_folder
-    from marl_clean.config.stored import find_run
-
-    return from_folder(find_run(str(run)))
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *__all__})

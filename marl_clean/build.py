@@ -227,6 +227,12 @@ def ready_for(agent: Agent, env: TransformedEnv) -> TransformedEnv:
     return env
 
 
+def ready_for_policy(cfg: DictConfig, env: TransformedEnv) -> TransformedEnv:
+    """Return an env that holds what a policy of `cfg` carries from step to step."""
+    with torch.random.fork_rng([]):  # its weights are of no use here
+        return ready_for(make_agent(cfg, env), env)
+
+
 def start_from(agent: Agent, cfg: DictConfig) -> None:
     """Give an agent the weights that `cfg` says it starts from.
 
@@ -243,6 +249,8 @@ def start_from(agent: Agent, cfg: DictConfig) -> None:
 def load_policy(folder: Path, channel: DictConfig | None = None) -> TensorDictModuleBase:
     """Return the greedy policy of a run: the best weights on validation houses, else the last.
 
+    It is on the CPU, wherever the run was trained.
+
     `channel`: the section of another channel than the one that it was trained with. What that one
     learnt about its own ways is then of no use; what the other would learn, it does not know.
 
@@ -250,6 +258,7 @@ def load_policy(folder: Path, channel: DictConfig | None = None) -> TensorDictMo
         BadInput: the run has no whole weights yet, or they do not fit its config.
     """
     cfg = checked(load_config(folder))
+    cfg.device = "cpu"
     houses = held_out_houses(cfg, "validation", 1) if plays_houses(cfg) else None
     if channel is not None:
         cfg.channel = channel

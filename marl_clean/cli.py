@@ -43,7 +43,7 @@ def train(arguments: argparse.Namespace) -> int:
 
 def evaluate(arguments: argparse.Namespace) -> int:
     """measure checkpoint=RUN or planner=NAME on held-out houses or on a plan; intervention=all"""
-    from marl_clean.commands.checks import check_all, check_out
+    from marl_clean.commands.checks import check_all, check_intervention, check_out
     from marl_clean.config.config_hash import config_hash
     from marl_clean.config.stored import RUNS, compose_for_policy
 
@@ -51,8 +51,8 @@ def evaluate(arguments: argparse.Namespace) -> int:
     settings = [text for text in arguments.settings if not text.startswith(INTERVENE)]
     config = compose_for_policy(settings)
     check_all(config)
-    if asked and config.checkpoint is None:
-        raise BadInput(f"{INTERVENE}{asked[-1]}: needs checkpoint=RUN, whose messages to change")
+    if asked:
+        check_intervention(config, asked[-1])
     name = config.name
     if config.checkpoint is not None and len(settings) > 1:  # measured elsewhere
         name = f"{name}-{config_hash(config)[:8]}"

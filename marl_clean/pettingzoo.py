@@ -1,12 +1,14 @@
 """The cleaning world as a PettingZoo environment, for anybody's learners.
 
-from marl_clean import pettingzoo
-
-env = pettingzoo.parallel_env(overrides=["env.n_agents=3"], action_masks=True)
+>>> from marl_clean import pettingzoo
+>>> env = pettingzoo.parallel_env(n_agents=3, house="open", action_masks=True)
+>>> observations, infos = env.reset(seed=0)
+>>> sorted(observations), sorted(observations["robot_0"])
+(['robot_0', 'robot_1', 'robot_2'], ['action_mask', 'observation'])
 """
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,12 +17,13 @@ from jaxtyping import Bool, Float
 from torchrl.envs.utils import step_mdp
 
 from marl_clean import build, keys
-from marl_clean.config.compose import compose_config
 from marl_clean.config.schema import choices
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.env.specs import REWARD_TERMS
 from marl_clean.env.viewer import draw_text
 from marl_clean.errors import BadInput
+from marl_clean.python.keywords import Settings, overrides_of
+from marl_clean.python.measuring import config_for_policy
 from marl_clean.world.dynamics import MOVES
 from marl_clean.world.rules import BLOCKED_VALUE, ROBOT_VALUE
 from marl_clean.world.sensing import windows_around
@@ -88,16 +91,17 @@ class ParallelCleaning(ParallelEnv[str, Seen, int]):
 
     def __init__(
         self,
-        overrides: Sequence[str] = (),
+        settings: Settings = None,
         adjacency: bool = False,
         action_masks: bool = False,
         render_mode: str | None = None,
+        **keywords: Any,
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise BadInput(f"render_mode={render_mode}: {choices(str(render_mode), RENDER_MODES)}")
         self.render_mode = render_mode
         self.shows_adjacency, self.shows_mask = adjacency, action_masks
-        cfg = compose_config(list(overrides))
+        cfg = config_for_policy(overrides_of(settings, keywords))
         self.batched = build.make_env(cfg, num_envs=1)
         self.world: CleaningEnv = self.batched.base_env
         n_agents = self.world.n_agents
@@ -245,22 +249,24 @@ class ParallelCleaning(ParallelEnv[str, Seen, int]):
 
 
 def parallel_env(
-    overrides: Sequence[str] = (),
+    settings: Settings = None,
     *,
     adjacency: bool = False,
     action_masks: bool = False,
     render_mode: str | None = None,
+    **keywords: Any,
 ) -> ParallelCleaning:
     """Return one world of a config as a PettingZoo ParallelEnv.
 
     Args:
-        overrides: settings as on the command line, such as `["house=open", "env.n_agents=3"]`;
+        settings: a preset by its name, or overrides such as `["house=open", "env.n_agents=3"]`;
             `env.num_envs` has no effect.
         adjacency: robots see which others they are in contact with.
         action_masks: robots see which actions lead into no wall that they know of.
         render_mode: what `render` gives: human, rgb_array, ansi; None: nothing.
+        keywords: settings as `marl_clean.make_env` takes them; `checkpoint=RUN` is a run's world.
 
     Raises:
         BadInput: a wrong setting.
     """
-    return ParallelCleaning(overrides, adjacency, action_masks, render_mode)
+    return ParallelCleaning(settings, adjacency, action_masks, render_mode, **keywords)

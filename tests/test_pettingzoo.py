@@ -188,6 +188,13 @@ def test_pictures_show_the_world_and_text_says_how_far_it_is(
     assert (pixels.render() != picture).any()
 
 
+def test_keywords_and_overrides_make_one_world() -> None:
+    by_keywords = parallel_env(FEW, n_agents=3, adjacency=True, env={"memory": "private"})
+    by_overrides = make("env.n_agents=3", "env.memory=private", adjacency=True)
+    assert by_keywords.possible_agents == ["robot_0", "robot_1", "robot_2"]
+    assert data_equivalence(play(by_keywords, seed=1), play(by_overrides, seed=1), exact=True)
+
+
 @pytest.mark.parametrize("mode", ["rgb_array", "ansi", "human"])
 def test_before_the_first_reset_it_shows_how_that_will_begin(
     mode: str, capsys: pytest.CaptureFixture[str]
@@ -229,6 +236,8 @@ def test_a_plain_box_where_nothing_else_is_in_it(
     ("spoil", "words"),
     [
         (lambda: parallel_env(["env.n_agent=3"]), "env.n_agent: no such key"),
+        (lambda: parallel_env(n_agent=3), "n_agent: no such key; did you mean env.n_agents"),
+        (lambda: parallel_env("env.n_agents=3"), "give a list"),
         (lambda: parallel_env(render_mode="rgb"), "rgb_array"),
         (lambda: make().render(), "render_mode=None"),
         (lambda: make().step({"robot_0": 0, "robot_1": 0}), "call reset"),

@@ -123,6 +123,12 @@ def check_run_folder(config: DictConfig) -> None:
     check_same_run(config, RUNS / config.name)
 
 
+def check_intervention(config: DictConfig, asked: str | None) -> None:
+    """Raises BadInput where messages are to be changed and no run is named whose they are."""
+    if asked is not None and config.checkpoint is None:
+        raise BadInput(f"intervention={asked}: needs checkpoint=RUN, whose messages to change")
+
+
 def check_device(config: DictConfig) -> None:
     """Raises BadInput when torch cannot use the device; asks torch only when it is not the cpu."""
     device = config.device

@@ -44,6 +44,25 @@ class World:
     others: dict[str, Entry] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Compared:
+    """One world's comparison: what is shown of it.
+
+    Attributes:
+        pools: each setting's entries, its seeds pooled, by its label.
+        planner: the yardstick's entry.
+        entries: of all policies, the planners last.
+        reference: the row that others are held against; None where there is but one.
+        differences: of each row to it, measure by measure.
+    """
+
+    pools: dict[str, Entry]
+    planner: Entry | None
+    entries: list[Entry]
+    reference: Row | None
+    differences: list[dict[str, Any]]
+
+
 def main(
     runs: Sequence[str],
     out: Path | None = None,
@@ -60,36 +79,47 @@ def main(
     `<out>_paired.json`. `figure`: draw runs/figures/compare*.png and .svg.
     Raises BadInput when no run is left, or none is called `against`.
     """
-    worlds = gather(runs)
-    if not worlds:
-        raise BadInput(f"compare: no finished run among {', '.join(runs)}; give folders of {RUNS}/")
     console = console or output()
-    written: list[Entry] = []
-    paired: list[dict[str, Any]] = []
+    worlds = compared(runs, against)
     for number, world in enumerate(worlds, start=1):
-        rows = rows_of(world)
-        pools = {row.label: pooled(list(row.runs.values()), row.label) for row in rows}
-        entries = [*pools.values(), *world.others.values()]
-        entries.sort(key=lambda entry: entry["epsilon"] == 0)  # the planners last
-        console.print(make_table(entries))
-        written += entries
-        found: list[dict[str, Any]] = []
-        if len(rows) > 1 or against is not None:
-            reference = reference_of(world, rows, against)
-            found = differences(rows, reference)
-            if alone := without_twin(rows, reference):
-                told = "; ".join(alone)
-                log.warning("seeds without a twin beside %s: %s", reference.label, told)
-            if found:
-                console.print(make_paired_table(found, reference))
-            paired += found
-        if figure and rows and "T_100" in entries[0]["summary"]:
-            draw(pools, world.others.get(YARDSTICK), found, number, console)
+        console.print(make_table(world.entries))
+        if world.reference is not None and world.differences:
+            console.print(make_paired_table(world.differences, world.reference))
+        if figure and world.pools and "T_100" in world.entries[0]["summary"]:
+            draw(world.pools, world.planner, world.differences, number, console)
+    written = [entry for world in worlds for entry in world.entries]
     if out is not None:
         write_entries(out, written)
+        paired = [difference for world in worlds for difference in world.differences]
         beside = out.with_name(f"{out.stem}_paired.json")
         files.write_file(beside, [(json.dumps(paired, indent=1) + "\n").encode()])
     return written
+
+
+def compared(runs: Sequence[str], against: str | None = None) -> list[Compared]:
+    """Pool the seeds of finished runs, and hold each setting against one, world by world.
+
+    Raises BadInput when no run is left, or none is called `against`.
+    """
+    worlds = gather(runs)
+    if not worlds:
+        raise BadInput(f"compare: no finished run among {', '.join(runs)}; give folders of {RUNS}/")
+    return [_compared(world, against) for world in worlds]
+
+
+def _compared(world: World, against: str | None) -> Compared:
+    rows = rows_of(world)
+    pools = {row.label: pooled(list(row.runs.values()), row.label) for row in rows}
+    entries = [*pools.values(), *world.others.values()]
+    entries.sort(key=lambda entry: entry["epsilon"] == 0)  # the planners last
+    planner = world.others.get(YARDSTICK)
+    if len(rows) < 2 and against is None:
+        return Compared(pools, planner, entries, None, [])
+    reference = reference_of(world, rows, against)
+    if alone := without_twin(rows, reference):
+        listed = "; ".join(alone)
+        log.warning("seeds without a twin beside %s: %s", reference.label, listed)
+    return Compared(pools, planner, entries, reference, differences(rows, reference))
 
 
 def gather(runs: Sequence[str]) -> list[World]:

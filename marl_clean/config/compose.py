@@ -36,6 +36,14 @@ def compose_parsed(parsed: Sequence[Override]) -> DictConfig:
     return checked(resolved(_composed(parsed)), parsed)
 
 
+def unchecked(overrides: Sequence[str]) -> dict[str, Any]:
+    """The config that `overrides` describe as it stands: nothing is resolved or checked.
+
+    Raises BadInput on what cannot be read, and for a level or key that there is not.
+    """
+    return container(_composed(parse_overrides(overrides)))
+
+
 def plays_houses(config: DictConfig) -> bool:
     """Whether the config's env is played in houses, or is a task of others that has none."""
     return class_source.takes(config.env._target_, "houses")
@@ -62,7 +70,7 @@ def apply(config: dict[str, Any], parsed: Sequence[Override]) -> dict[str, Any]:
         key = override.key
         if key in groups():
             continue
-        if key not in set(_keys(known)):
+        if key not in set(dotted_keys(known)):
             raise BadInput(_unknown(key, known))
         OmegaConf.update(merged, key, override.value, merge=True)
     return resolved(merged)
@@ -141,7 +149,7 @@ def _why_not(parsed: Sequence[Override], said: str) -> str:
     chosen = [override for override in parsed if override.key in groups()]
     known = container(hydra_adapter.compose(chosen))
     for key in (override.key for override in parsed if override not in chosen):
-        if key not in set(_keys(known)):
+        if key not in set(dotted_keys(known)):
             return _unknown(key, known)
     sections = [override.key for override in parsed if isinstance(override.value, dict)]
     return f"{sections[0]}: set a section's keys one by one" if sections else said
@@ -156,7 +164,7 @@ def _unknown(key: str, known: Mapping[str, Any]) -> str:
         return f"{key}: {level} is not in {room}=[{taken}]; take it, as in {room}=[{taken},{level}]"
     siblings = [
         k.removeprefix(f"{parent}.") if parent else k
-        for k in _keys(known)
+        for k in dotted_keys(known)
         if k.rpartition(".")[0] == parent
     ]
     if siblings:
@@ -164,9 +172,9 @@ def _unknown(key: str, known: Mapping[str, Any]) -> str:
     return f"{key}: no such key; {schema.choices(key.partition('.')[0], known)}"
 
 
-def _keys(tree: Any, prefix: str = "") -> Iterator[str]:
+def dotted_keys(tree: Any, prefix: str = "") -> Iterator[str]:
     """Every dotted key of nested mappings, inner ones included."""
     for key, value in tree.items():
         yield f"{prefix}{key}"
         if isinstance(value, Mapping):
-            yield from _keys(value, f"{prefix}{key}.")
+            yield from dotted_keys(value, f"{prefix}{key}.")

@@ -77,6 +77,14 @@ class CleaningEnv(Compiling):
     ## Version history
     World version 0.
 
+    >>> from marl_clean import CleaningEnv
+    >>> from marl_clean.house.base import draw_houses
+    >>> from marl_clean.house.open import Open
+    >>> houses = draw_houses(Open(rows=[5, 7], cols=[5, 7]), range(10), 3)
+    >>> env = CleaningEnv(houses, n_agents=3, num_envs=4)
+    >>> env.rollout(5)["next", "agents", "own_reward"].shape
+    torch.Size([4, 5, 3, 1])
+
     Args:
         houses: the houses to play in.
         rules: the readings of the paper; see `Rules`.
