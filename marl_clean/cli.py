@@ -169,7 +169,8 @@ marl-clean COMMAND [key=value ...]
 
 Settings are Hydra overrides: `comm=none` takes another level of a room, `env.n_agents=4` sets a
 key, `+experiment=NAME` takes a preset; `train -m seed=0,1,2` runs every combination. `marl-clean
-list` shows what there is; `marl-clean COMMAND --help` shows one command.
+list` shows what there is; `marl-clean COMMAND --help` shows one command. `--plugin PACKAGE` after
+any command brings in levels of a package of your own.
 """
 
 
@@ -211,12 +212,35 @@ def _run(argv: Sequence[str]) -> int:
         from marl_clean.config.schema import choices
 
         raise BadInput(f"{name}: no such command; {choices(name, COMMANDS)}")
-    return COMMANDS[name](_parser(name).parse_intermixed_args(argv[1:]))
+    from marl_clean.config.locate import plugins_in_use
+
+    asked, _ = _plugin_option().parse_known_args(argv[1:])
+    with plugins_in_use(asked.plugin):
+        helps = {"-h", "--help"}.intersection(argv)
+        return COMMANDS[name](_parser(name, bool(helps)).parse_intermixed_args(argv[1:]))
 
 
-def _parser(name: str) -> Parser:
-    about = COMMANDS[name].__doc__
-    parser = Parser(prog=f"marl-clean {name}", description=f"{about}{ALSO.get(name, '')}")
+def _plugin_option() -> Parser:
+    """Return what reads `--plugin`, which counts before anything else is read."""
+    parser = Parser(add_help=False, allow_abbrev=False)
+    parser.add_argument(
+        "--plugin",
+        metavar="PACKAGE",
+        action="append",
+        default=[],
+        help="a package whose conf/ brings levels of its own; several",
+    )
+    return parser
+
+
+def _parser(name: str, helps: bool = False) -> Parser:
+    """Return what reads a command's arguments; `helps` where it is asked what there is."""
+    parser = Parser(
+        prog=f"marl-clean {name}",
+        description=f"{COMMANDS[name].__doc__}{ALSO.get(name, '')}",
+        epilog=_levels() if helps and name not in WITHOUT_SETTINGS else None,
+        parents=[_plugin_option()],
+    )
     if name == "figure":
         parser.add_argument("name", metavar="NAME", help="the figure, such as paper_1")
     if name == "train":
@@ -242,6 +266,12 @@ def _parser(name: str) -> Parser:
     if name not in WITHOUT_SETTINGS:
         parser.add_argument("settings", metavar="key=value", nargs="*", help="Hydra overrides")
     return parser
+
+
+def _levels() -> str:
+    from marl_clean.config.levels import rooms
+
+    return "levels: " + "; ".join(f"{room}={','.join(names)}" for room, names in rooms().items())
 
 
 def _usage() -> str:

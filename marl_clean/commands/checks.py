@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 from marl_clean.config.class_source import constant
 from marl_clean.config.compose import plays_houses
 from marl_clean.config.fitting import check_fit
+from marl_clean.config.levels import level_of
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import RUNS, check_same_run, find_run, load_config
 from marl_clean.errors import BadInput
@@ -58,7 +59,7 @@ def check_teams(config: DictConfig) -> None:
         if not plays_houses(config):
             raise BadInput("evaluation.team_sizes: env is a task of others; valid: []")
         if "env.n_agents" in (constant(config.agent._target_, "sized_by") or []):
-            level = config.agent._target_.split(".")[2]
+            level = level_of(config.agent._target_)
             raise BadInput(
                 f"evaluation.team_sizes: agent={level} is of env.n_agents robots; valid: []"
             )
@@ -79,7 +80,7 @@ def _check_sees(config: DictConfig, rows: int, cols: int) -> None:
 def check_square_view(config: DictConfig, what: str) -> None:
     """Raises BadInput when robots do not see a square around themselves, which `what` shows."""
     if "view_size" not in config.observation:
-        level = config.observation._target_.split(".")[2]
+        level = level_of(config.observation._target_)
         raise BadInput(f"observation={level}: {what} needs a square around the robot, as of crop")
 
 

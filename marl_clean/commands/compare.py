@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
-from marl_clean.commands.labels import labels
+from marl_clean.commands.labels import labels, level_of
 from marl_clean.config.config_hash import OUTSIDE_THE_HASH
 from marl_clean.config.schema import choices
 from marl_clean.config.stored import RUNS, find_run, load_config
@@ -178,7 +178,7 @@ def reference_of(world: World, rows: Sequence[Row], against: str | None) -> Row:
     silent = [
         row
         for row, setting in zip(rows, world.settings.values(), strict=True)
-        if setting.config["comm"]["_target_"].split(".")[2] == "none"
+        if level_of(setting.config["comm"]) == "none"
     ]
     return [*silent, *rows][0]
 

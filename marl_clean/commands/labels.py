@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from marl_clean.config import levels
+
 Config = Mapping[str, Any]
 
 
@@ -35,7 +37,7 @@ def level_of(section: Any) -> str | None:
     if not isinstance(section, Mapping):
         return None
     if "_target_" in section:
-        return str(section["_target_"]).split(".")[2]
+        return levels.level_of(str(section["_target_"]))
     names = [str(name) for name, inner in section.items() if level_of(inner) is not None]
     return "+".join(names) or None
 

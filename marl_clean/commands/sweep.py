@@ -1,6 +1,7 @@
 """`train -m`: every combination of the settings is a job, handed to one of Hydra's launchers."""
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import product
 
 from omegaconf import DictConfig
@@ -9,6 +10,7 @@ from marl_clean.commands.checks import check_all
 from marl_clean.config.config_hash import config_hash
 from marl_clean.config.hydra_adapter import Override, check_launching, launch, settings_of_job
 from marl_clean.config.levels import EXPERIMENT, level_file
+from marl_clean.config.locate import named_plugins, use_plugins
 from marl_clean.config.overrides import parse_overrides
 from marl_clean.config.presets import sweep_of
 from marl_clean.config.stored import RUNS, compose_for_training, parsed_for_training
@@ -28,7 +30,7 @@ def run(overrides: Sequence[str]) -> None:
     launchers = [override.value for override in of_hydra if override.key == "hydra/launcher"]
     here = set(launchers[-1:]) <= set(ON_THIS_MACHINE)
     jobs = named_jobs([override for override in parsed if not override.of_hydra], here)
-    launch(train_job, jobs, of_hydra)
+    launch(partial(train_job, plugins=named_plugins()), jobs, of_hydra)
 
 
 def named_jobs(parsed: Sequence[Override], here: bool = True) -> list[list[str]]:
@@ -87,7 +89,7 @@ def sweep_jobs(parsed: Sequence[Override]) -> list[list[Override]]:
     return [list(job) for job in product(*alternatives.values())]
 
 
-def train_job(composed: DictConfig) -> None:
+def train_job(composed: DictConfig, plugins: Sequence[str] = ()) -> None:
     """One job of a sweep, in whatever process its launcher chose.
 
     Its settings are composed anew: a checkpoint's config is none of Hydra's. It is checked anew,
@@ -95,6 +97,7 @@ def train_job(composed: DictConfig) -> None:
     """
     from marl_clean.commands import train
 
+    use_plugins(plugins)
     config = compose_for_training(settings_of_job())
     check_all(config, training=True)
     train.main(config, RUNS / config.name)

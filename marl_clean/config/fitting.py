@@ -5,7 +5,7 @@ from typing import Any
 from omegaconf import DictConfig
 
 from marl_clean.config.class_source import constant
-from marl_clean.config.levels import SEVERAL, read_level, rooms
+from marl_clean.config.levels import SEVERAL, level_of, read_level, rooms
 from marl_clean.errors import BadInput
 from marl_clean.settings import Form
 
@@ -24,17 +24,17 @@ def check_fit(config: DictConfig) -> None:
     for room, target in targets.items():
         fits: dict[str, list[str]] = constant(target, "fits") or {}
         for other, valid in fits.items():
-            levels = list(config[other]) if other in SEVERAL else [_level(targets[other])]
+            levels = list(config[other]) if other in SEVERAL else [level_of(targets[other])]
             for level in levels:
                 if level not in valid:
-                    fitting = f"{room}={_level(target)}; valid: {', '.join(valid)}"
+                    fitting = f"{room}={level_of(target)}; valid: {', '.join(valid)}"
                     raise BadInput(f"{other}={level}: does not fit {fitting}")
     seer = "observation" if constant(targets["env"], "gives") is None else "env"
     gives, takes = constant(targets[seer], "gives"), constant(targets["encoder"], "takes")
-    given = f"{seer}={_level(targets[seer])} gives {gives.value}"
+    given = f"{seer}={level_of(targets[seer])} gives {gives.value}"
     if gives is not takes:
         raise BadInput(
-            f"encoder={_level(targets['encoder'])}: takes {takes.value}, {given};"
+            f"encoder={level_of(targets['encoder'])}: takes {takes.value}, {given};"
             f" valid: {', '.join(encoders_of(gives))}"
         )
     if gives is not Form.SQUARES and config.agent.get("augment", False):
@@ -49,7 +49,3 @@ def encoders_of(form: Form) -> list[str]:
 
 def _is_level(section: Any) -> bool:
     return isinstance(section, DictConfig) and "_target_" in section
-
-
-def _level(target: str) -> str:
-    return target.split(".")[2]

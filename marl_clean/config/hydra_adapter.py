@@ -155,7 +155,7 @@ def _hydra() -> Iterator[Hydra]:
         ours, *others = packages()
         path = create_config_search_path(str(ours.conf))
         for package in others:
-            path.append(package.name, str(package.conf))
+            path.prepend(package.name, str(package.conf), "schema")  # which must stay last
         yield Hydra.create_main_hydra2("marl-clean", path)
     finally:
         restore_gh_from_backup(theirs)

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from marl_clean.config.locate import own, packages
+from marl_clean.config.locate import own, package_of, packages
 from marl_clean.errors import BadInput
 from marl_clean.storage.safe_yaml import load_yaml
 
@@ -52,7 +52,9 @@ def level_file(group: str, level: str) -> Path:
 
 def read_level(room: str, level: str) -> dict[str, Any]:
     """What the yaml of a level says, with what it shares with others of its room."""
-    return _with_shared(level_file(room, level))
+    values = load_yaml(level_file(room, level))
+    shared = [read_level(room, name) for name in values.pop("defaults", []) if name != "_self_"]
+    return {key: value for section in [*shared, values] for key, value in section.items()}
 
 
 def is_target(room: str, target: str) -> bool:
@@ -62,7 +64,39 @@ def is_target(room: str, target: str) -> bool:
     return any(read_level(room, level).get("_target_") == target for level in levels)
 
 
-def _with_shared(path: Path) -> dict[str, Any]:
-    values = load_yaml(path)
-    shared = [_with_shared(path.with_name(f"{name}.yaml")) for name in values.pop("defaults", [])]
-    return {key: value for section in [*shared, values] for key, value in section.items()}
+def why_not_of_room(target: object, room: str) -> str | None:
+    """Why a `_target_` may not stand in a room's section; None where it may.
+
+    It is the class that a yaml file of the room names, of ours or of a plugin: a config may come
+    from a stranger, and calls nothing else.
+    """
+    if isinstance(target, str) and is_target(room, target):
+        return None
+    if not isinstance(target, str) or package_of(target) is not None:
+        return f"must name the class of a level of {room}, not {target!r}"
+    top = target.partition(".")[0]
+    return (
+        f"must name the class of a level of {room}, not {target!r}; of a plugin that is not in "
+        f"use, install it or name it: --plugin {top}"
+    )
+
+
+def plugin_of(group: str, level: str) -> str | None:
+    """The plugin that brings a level or preset; None of this package's own."""
+    for package in packages()[1:]:
+        if (package.conf / group / f"{level}.yaml").is_file():
+            return package.name
+    return None
+
+
+def level_of(target: str) -> str:
+    """The level that a `_target_` makes: of this package by its module, of a plugin by its yaml."""
+    package = package_of(target)
+    if package is None or package == own():
+        return target.split(".")[2]
+    for room, levels in rooms().items():
+        for level in levels:
+            brought = plugin_of(room, level) == package.name
+            if brought and read_level(room, level).get("_target_") == target:
+                return level
+    raise BadInput(f"{target!r} is no level of the plugin {package.name}")

@@ -1,10 +1,22 @@
-"""Where levels come from: the packages whose modules a `_target_` may name."""
+"""Where levels come from: this package, and the plugins that a user installed or named.
 
+A plugin is a package of somebody else's with a folder `conf/` in it, laid out as ours. Nothing of
+it is imported here: entry points, folders and files are looked at, and no more.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 
 from marl_clean.errors import BadInput
+
+GROUP = "marl_clean.plugins"  # of entry points, each with a package's name as its value
+NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 
 
 @dataclass(frozen=True)
@@ -27,20 +39,118 @@ def own() -> Package:
 
 
 def packages() -> tuple[Package, ...]:
-    """Every package whose levels may be taken, this one first."""
-    return (own(),)
+    """Every package whose levels may be taken, this one first.
+
+    Raises BadInput where a plugin has a level of a name that is taken.
+    """
+    found = {package.name: package for package in (own(), *_installed(), *_named.values())}
+    return _disjoint(tuple(found.values()))
+
+
+def use_plugins(names: Sequence[str]) -> None:
+    """Let levels of these packages be taken too, from now on in this process.
+
+    Raises BadInput where there is no such package, or it is no plugin.
+    """
+    _named.update({name: _plugin(name) for name in names})
+    packages()
+
+
+@contextmanager
+def plugins_in_use(names: Sequence[str]) -> Iterator[None]:
+    """Let levels of these packages be taken too, as long as the context lasts."""
+    before = dict(_named)
+    try:
+        use_plugins(names)
+        yield
+    finally:
+        _named.clear()
+        _named.update(before)
+
+
+def named_plugins() -> list[str]:
+    """The plugins that the user named, for other processes to name them too."""
+    return list(_named)
+
+
+def package_of(module: str) -> Package | None:
+    """The package of ours or of a plugin that a module belongs to; None of anybody else's."""
+    for package in packages():
+        if f"{module}.".startswith(f"{package.name}."):
+            return package
+    return None
 
 
 def file_of(module: str) -> Path | None:
-    """The file of a module of one of the packages; None of anybody else's, or of none at all.
-
-    Nothing is imported for it: the names of folders and files are all that is looked at.
-    """
-    name, *inner = module.split(".")
-    for package in packages():
-        if package.name == name:
-            place = package.folder.joinpath(*inner)
-            for path in (place.with_suffix(".py") if inner else place, place / "__init__.py"):
-                if path.is_file():
-                    return path
+    """The file of a module of one of the packages; None of anybody else's, or of none at all."""
+    package = package_of(module)
+    if package is None:
+        return None
+    inner = module.removeprefix(package.name).split(".")[1:]
+    place = package.folder.joinpath(*inner)
+    for path in (place.with_suffix(".py") if inner else place, place / "__init__.py"):
+        if path.is_file():
+            return path
     return None
+
+
+_named: dict[str, Package] = {}
+"""Plugins that the user named, by their names."""
+
+
+@cache
+def _installed() -> tuple[Package, ...]:
+    """The plugins that distributions declare by an entry point."""
+    points = entry_points(group=GROUP)
+    return tuple(_plugin(name) for name in sorted({p.value.partition(":")[0] for p in points}))
+
+
+def _plugin(name: str) -> Package:
+    if not NAME.fullmatch(name) or name.partition(".")[0] == own().name:
+        raise BadInput(f"plugin {name}: must be the name of another package, such as my_levels")
+    folders = _folders_of(name)
+    if not folders:
+        raise BadInput(
+            f"plugin {name}: there is no such package; install it, or put the folder that it lies "
+            "in on PYTHONPATH"
+        )
+    for folder in folders:
+        if (folder / "conf").is_dir():
+            _check_rooms(name, folder / "conf")
+            return Package(name, folder, folder / "conf")
+    raise BadInput(f"plugin {name}: has no folder {folders[0] / 'conf'}, so it brings no levels")
+
+
+def _folders_of(name: str) -> list[Path]:
+    """The folders of a package, found without importing it or those that it lies in."""
+    first, *inner = name.split(".")
+    try:
+        spec = find_spec(first)
+    except (ImportError, ValueError):
+        return []
+    places = (spec and spec.submodule_search_locations) or ()
+    return [folder for place in places if (folder := Path(place).joinpath(*inner)).is_dir()]
+
+
+def _check_rooms(name: str, conf: Path) -> None:
+    rooms = {path.name for path in own().conf.iterdir() if path.is_dir()}
+    for path in sorted(conf.iterdir()):
+        if path.is_dir() and path.name[0] not in "._" and path.name not in rooms:
+            valid = ", ".join(sorted(rooms))
+            raise BadInput(f"plugin {name}: conf/{path.name} is no room; valid: {valid}")
+
+
+@cache
+def _disjoint(found: tuple[Package, ...]) -> tuple[Package, ...]:
+    """The packages as they are. Raises BadInput where two have a level of one name."""
+    owners: dict[str, str] = {}
+    for package in found:
+        for path in sorted(package.conf.glob("*/*.yaml")):
+            level = path.relative_to(package.conf).as_posix()
+            owner = owners.setdefault(level, package.name)
+            if owner != package.name:
+                raise BadInput(
+                    f"plugin {package.name}: conf/{level} is a level of {owner} already; rename "
+                    f"it, or leave {package.name} out"
+                )
+    return found

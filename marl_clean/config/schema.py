@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from pydantic import TypeAdapter, ValidationError
 
 from marl_clean.config.class_source import parameters, records
+from marl_clean.config.levels import why_not_of_room
 from marl_clean.config.type_words import describe, options
 from marl_clean.errors import BadInput
 
@@ -27,9 +28,10 @@ class Problem:
 def problems_of_level(section: Mapping[str, Any], key: str, room: str) -> Iterator[Problem]:
     """Everything wrong with one level's section, such as `comm` or `logger.csv`."""
     target = section.get("_target_")
-    if not isinstance(target, str) or not target.startswith(f"marl_clean.{room}."):
-        yield Problem(f"{key}._target_", f"must name a class in marl_clean.{room}, not {target!r}")
+    if (reason := why_not_of_room(target, room)) is not None:
+        yield Problem(f"{key}._target_", reason)
         return
+    assert isinstance(target, str)
     try:
         accepted = parameters(target)
     except BadInput as error:

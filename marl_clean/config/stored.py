@@ -15,7 +15,14 @@ from marl_clean.config.class_source import constant, parameters
 from marl_clean.config.compose import PERFECT, apply, checked, compose_parsed
 from marl_clean.config.config_hash import config_hash
 from marl_clean.config.hydra_adapter import Override
-from marl_clean.config.levels import PRESETS, conf_folder, read_level, rooms
+from marl_clean.config.levels import (
+    PRESETS,
+    conf_folder,
+    is_target,
+    level_of,
+    read_level,
+    rooms,
+)
 from marl_clean.config.locate import own
 from marl_clean.config.overrides import parse_overrides
 from marl_clean.config.schema import mismatch
@@ -168,14 +175,13 @@ def _completed(plain: dict[str, Any]) -> dict[str, Any]:
         default = load_yaml(conf_folder() / "config.yaml")["evaluation"]
         whole["evaluation"] = {key: default[key] for key in get_type_hints(LaterEvaluation)}
         whole["evaluation"] |= measured
-    for room, levels in rooms().items():
+    for room in rooms():
         section = plain.get(room)
         if not isinstance(section, dict):
             continue
         target = str(section.get("_target_"))
-        parts = target.split(".")
-        if len(parts) == 4 and parts[1] == room and parts[2] in levels:
-            level = read_level(room, parts[2])
+        if is_target(room, target):
+            level = read_level(room, level_of(target))
             accepted = parameters(target)
             optional = [name for name in accepted if name in level and not accepted[name].required]
             whole[room] = {**{name: level[name] for name in optional}, **section}

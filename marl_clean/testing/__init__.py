@@ -5,12 +5,17 @@
     def test_my_scheme() -> None:
         check_comm("my_scheme", message_dim=8)
 
+    def test_one_of_a_plugin_that_is_not_installed() -> None:
+        use_plugins(["my_package"])
+        check_house("my_house")
+
 Each function takes a level by name, as on the command line, or by its class, and settings of it.
 It returns nothing where the contract holds, and raises `ContractBroken` with what is broken and on
 which numbers. What a contract asks is listed as `CLAUSES` in the room's module here; each clause
 is a function whose docstring is the promise. No contract knows a level of ours.
 """
 
+from marl_clean.config.locate import use_plugins
 from marl_clean.testing._broken import ContractBroken
 from marl_clean.testing.agent import check_agent
 from marl_clean.testing.channel import check_channel, check_stack
@@ -34,4 +39,5 @@ __all__ = [
     "check_reward",
     "check_stack",
     "check_topology",
+    "use_plugins",
 ]

@@ -49,6 +49,8 @@ class Maker:
 def maker(room: str, level: Level, settings: Mapping[str, Any]) -> Maker:
     """Return how a level is made: its yaml's values, or none of a class, and `settings` on top.
 
+    A plugin's level has a name where the plugin is installed, or named by `use_plugins`.
+
     Raises:
         BadInput: no such level, or a setting that it does not take.
     """

@@ -242,7 +242,7 @@ def test_a_checkpoint_is_named_rightly(run: Path, overrides: list[str], words: s
     [
         ("seed: ${oc.env:HOME}", "values written out"),
         ("seed: &a 1", "anchor"),
-        ("comm: {_target_: os.system}", "must name a class in marl_clean.comm"),
+        ("comm: {_target_: os.system}", "must name the class of a level of comm"),
         ("seed: !!python/object/apply:os.system [ls]", "not plain yaml"),
         ("sed: 1", "no such key"),
         ("seed: [", "not plain yaml"),

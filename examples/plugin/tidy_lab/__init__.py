@@ -1,0 +1,1 @@
+"""Levels for marl_clean: a scheme, a house and a planner."""
