@@ -151,7 +151,9 @@ class ParallelCleaning(ParallelEnv[str, Seen, int]):
         dict[str, bool],
         dict[str, dict[str, float]],
     ]:
-        """Play one action of every robot."""
+        """Play one action of every robot; after the end no actions give nothing."""
+        if not self.agents and not actions:
+            return {}, {}, {}, {}, {}
         self._now[keys.ACTION] = torch.tensor([self._checked(actions)], device=self.world.device)
         later = self.batched.step(self._now)["next"]
         self._now = step_mdp(self._now)

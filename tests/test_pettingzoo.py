@@ -188,6 +188,13 @@ def test_pictures_show_the_world_and_text_says_how_far_it_is(
     assert (pixels.render() != picture).any()
 
 
+def test_after_the_end_no_actions_give_nothing() -> None:
+    env = make("env.max_steps=1")
+    env.reset()
+    env.step(dict.fromkeys(env.agents, 0))
+    assert env.agents == [] and env.step({}) == ({}, {}, {}, {}, {})
+
+
 def test_keywords_and_overrides_make_one_world() -> None:
     by_keywords = parallel_env(FEW, n_agents=3, adjacency=True, env={"memory": "private"})
     by_overrides = make("env.n_agents=3", "env.memory=private", adjacency=True)
