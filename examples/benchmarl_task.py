@@ -3,11 +3,14 @@
     pip install --no-deps benchmarl
     python examples/benchmarl_task.py [iterations, 2]
 
-BenchMARL 1.5.2 asks for torchrl below 0.12; with --no-deps it runs on 0.14.1, the one tried.
+BenchMARL 1.5.2 asks for torchrl below 0.12. Installed with --no-deps it runs on 0.14.1 once it is
+handed the collector by its older name and its value modules do without a newer check of shapes;
+that is done here. Tried so, with IPPO, IQL and QMIX.
 """
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torchrl.collectors
@@ -15,7 +18,7 @@ import torchrl.collectors
 # What BenchMARL 1.5.2 asks for by the name it had before torchrl 0.12.
 torchrl.collectors.SyncDataCollector = torchrl.collectors.Collector
 
-from benchmarl.algorithms import IppoConfig, IqlConfig, QmixConfig
+from benchmarl.algorithms import IppoConfig, IqlConfig, QmixConfig, iql, qmix
 from benchmarl.environments import TaskClass
 from benchmarl.experiment import Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
@@ -23,6 +26,9 @@ from torchrl.data import Composite
 from torchrl.envs import EnvBase
 
 from marl_clean import keys, make_env
+
+for module in (iql, qmix):
+    module.QValueModule = partial(module.QValueModule, strict_shape=False)
 
 SETTINGS = {"observation": "distances", "house": "open", "rows": [5, 6], "cols": [5, 6]}
 
@@ -53,7 +59,8 @@ class Cleaning(TaskClass):
         return {keys.AGENTS: [f"robot_{index}" for index in range(env.base_env.n_agents)]}
 
     def observation_spec(self, env: EnvBase) -> Composite:
-        return env.full_observation_spec_unbatched.select(keys.OBSERVATION)
+        seen = env.full_observation_spec_unbatched[keys.OBSERVATION]
+        return Composite(agents=Composite(observation=seen, shape=seen.shape[:1]))
 
     def info_spec(self, env: EnvBase) -> Composite | None:
         return None
