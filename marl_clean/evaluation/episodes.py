@@ -5,18 +5,21 @@ from a global generator.
 """
 
 from collections.abc import Mapping
+from itertools import count
 from typing import Any
 
 import torch
+from jaxtyping import Bool, Int
 from omegaconf import DictConfig
-from torch import nn
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+from torchrl.data import TensorSpec
 from torchrl.envs import TransformedEnv
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from marl_clean import build, keys
 from marl_clean.config.config_hash import config_hash
 from marl_clean.evaluation.records import Entry, make_entry
-from marl_clean.learning.acting import begin_carrying
+from marl_clean.evaluation.rollouts import first_frame, rollout_episodes
 from marl_clean.world.random import Purpose, random_below, random_bits
 
 RANDOM = "random"
@@ -28,11 +31,11 @@ def measure_return(cfg: DictConfig, policy: nn.Module | None, name: str, seed: i
     A record holds the seed that the task was reset with, the steps, and the return: the sum of
     what all agents earned themselves. Without a policy all actions are random.
     """
-    count, epsilon = cfg.evaluation.houses, cfg.evaluation.epsilon
+    episodes, epsilon = cfg.evaluation.houses, cfg.evaluation.epsilon
     share = 1.0 if policy is None else epsilon
     records: list[Mapping[str, Any]] = []
-    for first in range(0, count, cfg.env.num_envs):  # as many at once as training plays
-        num_envs = min(cfg.env.num_envs, count - first)
+    for first in range(0, episodes, cfg.env.num_envs):  # as many at once as training plays
+        num_envs = min(cfg.env.num_envs, episodes - first)
         env = build.make_env(cfg, num_envs=num_envs, first_env=first)
         records += play(env, policy, share, seed)
         env.close()
@@ -50,23 +53,38 @@ def play(
     spec = env.full_action_spec[keys.ACTION]
     steps = torch.zeros(base.num_envs, dtype=torch.int64)
     total = torch.zeros(base.num_envs, dtype=torch.float64)
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        td = env.reset() if policy is None else begin_carrying(policy, env.reset())
-        seeds = base.episode_seeds
-        playing = ~td[keys.DONE].flatten().cpu()
-        words = (base.env_index[:, None], Purpose.ACTION, torch.arange(base.n_agents))
-        step = 0
-        while playing.any():
-            drawn = random_below(spec.n, seed, *words, step, 1).to(spec.device)
-            explores = random_bits(seed, *words, step, 0).to(spec.device) < round(epsilon * 2**32)
-            td[keys.ACTION] = drawn if policy is None else policy(td)[keys.ACTION]
-            td[keys.ACTION] = torch.where(explores, drawn, td[keys.ACTION])
-            td = env.step(td)
-            earned = td["next", keys.OWN_REWARD].sum((1, 2)).double().cpu()
-            total += torch.where(playing, earned, 0.0)
-            steps += playing
-            step += 1
-            playing &= ~td["next", keys.DONE].flatten().cpu()
-            td = env.maybe_reset(step_mdp(td))
+    words = (base.env_index[:, None], Purpose.ACTION, torch.arange(base.n_agents))
+    step = count()
+
+    def explore(action: Int[Tensor, "env agent"]) -> Int[Tensor, "env agent"]:
+        index = next(step)
+        drawn = random_below(spec.n, seed, *words, index, 1).to(spec.device)
+        explores = random_bits(seed, *words, index, 0).to(spec.device) < round(epsilon * 2**32)
+        return torch.where(explores, drawn, action)
+
+    chosen = Idle(spec) if policy is None else policy
+    first = first_frame(env, chosen)
+    seeds, playing = base.episode_seeds, ~first[keys.DONE].flatten().cpu()
+    for frame in rollout_episodes(env, chosen, first, ask=_ask, explore=explore, resets=True):
+        earned = frame["next", keys.OWN_REWARD].sum((1, 2)).double().cpu()
+        total += torch.where(playing, earned, 0.0)
+        steps += playing
+        playing &= ~frame["next", keys.DONE].flatten().cpu()
     rows = zip(seeds.tolist(), steps.tolist(), total.tolist(), strict=True)
     return [dict(zip(("seed", "steps", "return"), row, strict=True)) for row in rows]
+
+
+class Idle(nn.Module):
+    """Action 0 of all robots, for exploration to replace."""
+
+    def __init__(self, spec: TensorSpec) -> None:
+        super().__init__()
+        self.spec = spec
+
+    def forward(self, td: TensorDictBase) -> TensorDictBase:
+        return td.set(keys.ACTION, self.spec.zero())
+
+
+def _ask(policy: nn.Module, td: TensorDictBase, playing: Bool[Tensor, " env"]) -> TensorDictBase:
+    """Ask about all envs: those that ended play on, in episodes that are not counted."""
+    return policy(td)

@@ -8,13 +8,10 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 from omegaconf import DictConfig
-from tensordict import NestedKey, TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.envs import TransformedEnv
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from marl_clean import build
 from marl_clean.config.compose import compose_config, plays_houses
@@ -25,10 +22,8 @@ from marl_clean.errors import BadInput
 from marl_clean.evaluation.episodes import RANDOM, measure_return
 from marl_clean.evaluation.metrics import Record, Recorder
 from marl_clean.evaluation.records import Entry, make_entry, means
+from marl_clean.evaluation.rollouts import Explore, first_frame, rollout_episodes
 from marl_clean.house.base import Houses
-from marl_clean.keys import ACTION, MESSAGE_BITS, MESSAGE_EDGES
-from marl_clean.learning.acting import begin_carrying
-from marl_clean.planner.base import Planner
 from marl_clean.settings import HouseOrder
 from marl_clean.world.random import Purpose, random_below, random_bits, words_of_robots
 
@@ -199,47 +194,25 @@ def play(
     on_share: Callable[[float], object] | None = None,
 ) -> list[Record]:
     """One episode in every environment, greedily but for `epsilon`; its records in their order."""
-    training = policy.training
-    policy.eval()
-    try:
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            td = begin_carrying(policy, env.reset())
-            recorder = Recorder(env.base_env, certify, optimum)
-            while recorder.playing.any():
-                td = act(policy, td, recorder.playing)
-                if epsilon > 0:
-                    td[ACTION] = with_random_actions(env.base_env, td[ACTION], epsilon)
-                td = env.step(td)
-                recorder.update(td)
-                td = step_mdp(td)
-                if on_share is not None:
-                    on_share(recorder.share_done())
-    finally:
-        policy.train(training)
+    first = first_frame(env, policy)
+    recorder = Recorder(env.base_env, certify, optimum)
+    steps = rollout_episodes(
+        env,
+        policy,
+        first,
+        explore=exploring(env.base_env, epsilon),
+        playing=lambda: recorder.playing,
+    )
+    for step in steps:
+        recorder.update(step)
+        if on_share is not None:
+            on_share(recorder.share_done())
     return recorder.records()
 
 
-def act(policy: nn.Module, td: TensorDictBase, playing: Bool[Tensor, " env"]) -> TensorDictBase:
-    """Ask a network about the houses that still play only; the others get action 0.
-
-    A planner reads its env and plans for all of them.
-    """
-    if isinstance(policy, Planner) or playing.all():
-        return policy(td)
-    some = policy(td[playing])
-    for key in (ACTION, MESSAGE_EDGES, MESSAGE_BITS, *_carried(policy)):
-        value = some.get(key, None)  # not every policy sends messages
-        if value is not None:
-            whole = value.new_zeros((len(playing), *value.shape[1:]))
-            whole[playing] = value
-            td[key] = whole
-    return td
-
-
-def _carried(policy: nn.Module) -> list[NestedKey]:
-    """Where a policy writes what it carries to the next step."""
-    assert isinstance(policy, TensorDictModuleBase)
-    return [key for key in policy.out_keys if isinstance(key, tuple) and key[0] == "next"]
+def exploring(env: CleaningEnv, epsilon: float) -> Explore | None:
+    """What replaces a share of the actions; None where it is none of them."""
+    return partial(with_random_actions, env, epsilon=epsilon) if epsilon > 0 else None
 
 
 def with_random_actions(

@@ -11,16 +11,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from omegaconf import DictConfig
-from torch import Tensor
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+from tensordict import TensorDictBase
+from torch import Tensor, nn
 
 from marl_clean import build, keys
-from marl_clean.evaluation.evaluator import held_out_env, with_random_actions
+from marl_clean.evaluation.evaluator import exploring, held_out_env
 from marl_clean.evaluation.interventions import Shuffle, Zero, intervened
+from marl_clean.evaluation.rollouts import first_frame, rollout_episodes
 from marl_clean.evaluation.statistics import estimate
-from marl_clean.learning.acting import Greedy, begin_carrying
+from marl_clean.learning.acting import Greedy
 
 TEMPERATURE = 1.0  # of the policies that values are turned into, in units of reward
 MESSAGES = 8  # other messages, by which the influence of messages is estimated
@@ -44,22 +45,23 @@ def listening(cfg: DictConfig, policy: Greedy, count: int, epsilon: float) -> di
     others = [intervened(policy, partial(_shuffle, k)) for k in range(1, MESSAGES + 1)]
     sums: dict[str, Tensor] = {}
     heard = torch.zeros(count, dtype=torch.float64, device=env.device)
-    playing = torch.ones(count, dtype=torch.bool, device=env.device)
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        td = begin_carrying(policy, env.reset())
-        while playing.any():
-            hears = td[keys.ADJACENCY].any(-1) & playing[:, None]
-            replaced = [one(td.clone())[keys.ACTION_VALUE] for one in (zeros, *others)]
-            td = policy(td)
-            found = differences_of(td[keys.ACTION_VALUE], replaced[0], replaced[1:])
-            heard += hears.sum(1)
-            for name, value in found.items():
-                of_houses = torch.where(hears, value, 0.0).sum(1)
-                sums[name] = sums.get(name, 0.0) + of_houses
-            td[keys.ACTION] = with_random_actions(env.base_env, td[keys.ACTION], epsilon)
-            td = env.step(td)
-            playing &= ~td["next", keys.DONE].flatten()
-            td = step_mdp(td)
+
+    def ask(
+        policy: nn.Module, frame: TensorDictBase, playing: Bool[Tensor, " env"]
+    ) -> TensorDictBase:
+        hears = frame[keys.ADJACENCY].any(-1) & playing[:, None]
+        replaced = [other(frame.clone())[keys.ACTION_VALUE] for other in (zeros, *others)]
+        frame = policy(frame)
+        heard.add_(hears.sum(1))
+        changes = differences_of(frame[keys.ACTION_VALUE], replaced[0], replaced[1:])
+        for name, value in changes.items():
+            of_houses = torch.where(hears, value, 0.0).sum(1)
+            sums[name] = sums.get(name, 0.0) + of_houses
+        return frame
+
+    first, explore = first_frame(env, policy), exploring(env.base_env, epsilon)
+    for _ in rollout_episodes(env, policy, first, ask=ask, explore=explore):
+        pass
     means = {name: (total / heard).cpu().numpy() for name, total in sums.items()}  # NaN: unheard
     return {
         "temperature": TEMPERATURE,

@@ -2,19 +2,18 @@
 
 from collections.abc import Iterator
 
-import torch
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from torchrl.envs import TransformedEnv
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+from torchrl.envs.utils import step_mdp
 
 from marl_clean import build
 from marl_clean.config.stored import find_run
 from marl_clean.env.scene import scene_of
 from marl_clean.env.viewer import Scene
-from marl_clean.evaluation.evaluator import PolicyFor, held_out_env, with_random_actions
-from marl_clean.keys import ACTION, ADJACENCY, DONE
-from marl_clean.learning.acting import begin_carrying
+from marl_clean.evaluation.evaluator import PolicyFor, exploring, held_out_env
+from marl_clean.evaluation.rollouts import first_frame, rollout_episodes
+from marl_clean.keys import ADJACENCY
 
 
 def policy_of(cfg: DictConfig) -> PolicyFor:
@@ -39,15 +38,10 @@ def frames(
     They share the env's state: read what is needed before asking for the next.
     """
     policy = policy_for(env)
-    policy.eval()
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        td = begin_carrying(policy, env.reset())
-        yield td
-        while not td[DONE].all():
-            td = policy(td)
-            td[ACTION] = with_random_actions(env.base_env, td[ACTION], epsilon)
-            td = step_mdp(env.step(td))
-            yield td
+    first = first_frame(env, policy)
+    yield first
+    for step in rollout_episodes(env, policy, first, explore=exploring(env.base_env, epsilon)):
+        yield step_mdp(step)
 
 
 def scenes(env: TransformedEnv, policy_for: PolicyFor, epsilon: float = 0.0) -> Iterator[Scene]:

@@ -4,10 +4,11 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torchrl.envs.utils import ExplorationType, exploration_type, set_exploration_type
 
 from marl_clean import build
 from marl_clean.config.compose import compose_config
-from marl_clean.evaluation import evaluator
+from marl_clean.evaluation import evaluator, rollouts
 from marl_clean.evaluation.evaluator import (
     evaluate,
     measure_beside_planners,
@@ -92,7 +93,7 @@ def test_finished_houses_are_not_asked_about_and_are_not_changed_by_it(cfg, monk
     assert min(time or 150 for time in finished) < max(time or 150 for time in finished)
     assert policy.asked[0] == 6 and policy.asked[-1] < 6
     assert not any(policy.modes) and policy.training  # dropout is off, and on again
-    monkeypatch.setattr(evaluator, "act", lambda policy, td, playing: policy(td))
+    monkeypatch.setattr(rollouts, "act", lambda policy, td, playing: policy(td))
     assert run(long, Spread(), epsilon=0.5) == found
 
 
@@ -152,3 +153,19 @@ def test_weights_are_chosen_on_other_houses_than_they_are_tested_on(cfg):
     assert found["finished"] == sum(record["T_100"] is not None for record in records) / 6
     times = [record["T_90"] or record["max_steps"] for record in records]
     assert found["T_90"] == pytest.approx(sum(times) / 6)
+
+
+def test_policies_are_asked_without_gradients_and_callers_keep_their_modes(cfg):
+    env, modes = build.make_env(cfg), []
+    policy = Spread()
+
+    def ask(policy, frame, playing):
+        modes.append((torch.is_grad_enabled(), exploration_type()))
+        return policy(frame)
+
+    first = rollouts.first_frame(env, policy)
+    steps = rollouts.rollout_episodes(env, policy, first, ask=ask)
+    with set_exploration_type(ExplorationType.RANDOM):
+        next(steps)
+        assert torch.is_grad_enabled() and exploration_type() == ExplorationType.RANDOM
+        assert modes == [(False, ExplorationType.DETERMINISTIC)]
