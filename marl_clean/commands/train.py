@@ -26,7 +26,7 @@ from marl_clean.evaluation.table import make_table, output
 from marl_clean.report.curve import draw_curve
 from marl_clean.report.replay import make_replay
 from marl_clean.storage import files
-from marl_clean.trainer._training import Outcome
+from marl_clean.trainer._outcome import Outcome
 
 
 def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[Entry]:

@@ -1,4 +1,4 @@
-"""What the training loops share: a run with its clock, its log, its best weights and its states."""
+"""What the training loops share: their clock, log, best weights and states."""
 
 import logging
 from abc import ABC, abstractmethod
@@ -19,18 +19,13 @@ from marl_clean.errors import BadInput
 from marl_clean.learning.agent import Agent
 from marl_clean.logger.base import CLOCK, Logger, Progress
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints
+from marl_clean.trainer._collecting import CarriedCollector
 from marl_clean.trainer._curriculum import Curriculum
-from marl_clean.trainer._training import (
-    Best,
-    CarriedCollector,
-    Diverged,
-    Interrupts,
-    Outcome,
-    Stopped,
-    Tally,
-    random_state,
-    restore_random,
-)
+from marl_clean.trainer._interrupts import Interrupts, Stopped
+from marl_clean.trainer._outcome import Outcome
+from marl_clean.trainer._random import random_state, restore_random
+from marl_clean.trainer._selection import Best
+from marl_clean.trainer._tally import Diverged, Tally
 
 Evaluate = Callable[[TensorDictModuleBase], Mapping[str, float]]
 log = logging.getLogger(__name__)
@@ -40,7 +35,7 @@ COUNTERS = ("frames", "updates", "logged", "evaluated", "saved")
 class Trainer(ABC):
     """Train an agent in a budget of frames.
 
-    Every block of frames: play with exploration, and learn. At fixed frames: log, evaluate and
+    Every block of frames: collect with exploration, and learn. At fixed frames: log, evaluate and
     keep the best weights, save the state. The same call goes on from the newest state, exactly:
     on a CPU with one thread its weights and rows are those of the uninterrupted run. Only where the
     env cannot be saved in the middle of its episodes (`goes_on_exactly`) does it begin new ones.
@@ -62,8 +57,8 @@ class Trainer(ABC):
         evaluate: Evaluate,
         loggers: list[Logger],
         checkpoints: Checkpoints,
-    ) -> "Run":
-        """Return the live parts of a run that has not played yet."""
+    ) -> "TrainingLoop":
+        """Return the live parts of a training that has no frames yet."""
 
     @abstractmethod
     def longest_row(self, env: EnvBase) -> tuple[str, int]:
@@ -110,28 +105,28 @@ class Trainer(ABC):
         if final is not None:
             return Outcome(final.frames, final.notes["updates"], final.notes["best"], True)
         self.check(env, agent)
-        run = self.begin(env, agent, evaluate, list(loggers), checkpoints)
-        run.resume()
-        with Interrupts() as interrupts, Progress(self.total_frames, run.frames) as progress:
+        loop = self.begin(env, agent, evaluate, list(loggers), checkpoints)
+        loop.resume()
+        with Interrupts() as interrupts, Progress(self.total_frames, loop.frames) as progress:
             try:
-                if start_is_candidate and not run.frames:
+                if start_is_candidate and not loop.frames:
                     with suppress(Stopped):  # the loop sees the signal
-                        run.measure(interrupts)
+                        loop.measure(interrupts)
                 while True:
-                    run.report(interrupts, progress)
-                    if interrupts.signal or run.due(self.checkpoint_interval_frames, run.saved):
-                        run.save()
+                    loop.report(interrupts, progress)
+                    if interrupts.signal or loop.due(self.checkpoint_interval_frames, loop.saved):
+                        loop.save()
                     if interrupts.signal:
                         raise SystemExit(128 + interrupts.signal)
-                    if run.frames >= self.total_frames:
-                        return run.finish()
-                    run.learn(run.play())
+                    if loop.frames >= self.total_frames:
+                        return loop.finish()
+                    loop.learn(loop.collect())
             finally:
-                run.close()
+                loop.close()
 
 
-class Run(ABC):
-    """The live parts of one run, and how far it is."""
+class TrainingLoop(ABC):
+    """The live parts of one training, and how far it is."""
 
     def __init__(
         self,
@@ -161,8 +156,8 @@ class Run(ABC):
         self.logged = self.evaluated = self.saved = 0  # frames at the last time
         self.best = Best(settings.select_by, checkpoints)
 
-    def play(self) -> TensorDictBase:
-        """Play a block of frames `[env, time]` with exploration, and count what came of it."""
+    def collect(self) -> TensorDictBase:
+        """Collect a block of frames `[env, time]` with exploration, and count what came of it."""
         block = next(self.blocks)
         self.frames += block.numel()
         self.agent.anneal(self.frames / self.settings.total_frames)

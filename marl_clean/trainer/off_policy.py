@@ -1,4 +1,4 @@
-"""The off-policy loop: play, remember, learn; and now and then log, evaluate, save."""
+"""The off-policy loop: collect, remember, learn; and now and then log, evaluate, save."""
 
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -14,14 +14,15 @@ from marl_clean.learning.agent import Agent
 from marl_clean.logger.base import Logger
 from marl_clean.settings import NonNegativeInt, PositiveFloat, PositiveInt, Probability
 from marl_clean.storage.checkpoint import Checkpoints
-from marl_clean.trainer._training import Rows, Windows, check_finite, replay_state, restore_replay
-from marl_clean.trainer.base import Evaluate, Run, Trainer
+from marl_clean.trainer._collecting import Rows, Windows, replay_state, restore_replay
+from marl_clean.trainer._tally import check_finite
+from marl_clean.trainer.base import Evaluate, Trainer, TrainingLoop
 
 
 class OffPolicy(Trainer):
     """Train an agent from replayed experience, in a budget of frames.
 
-    Every block of frames: play with exploration, close the n-step windows, remember them, learn
+    Every block of frames: collect with exploration, close the n-step windows, remember them, learn
     from `replay_ratio` remembered frames for every new one. All else as in `Trainer`.
 
     Args:
@@ -88,12 +89,12 @@ class OffPolicy(Trainer):
         evaluate: Evaluate,
         loggers: list[Logger],
         checkpoints: Checkpoints,
-    ) -> "OffPolicyRun":
-        return OffPolicyRun(self, env, agent, evaluate, loggers, checkpoints)
+    ) -> "OffPolicyLoop":
+        return OffPolicyLoop(self, env, agent, evaluate, loggers, checkpoints)
 
 
-class OffPolicyRun(Run):
-    """A run with its replay."""
+class OffPolicyLoop(TrainingLoop):
+    """A training with its replay."""
 
     settings: OffPolicy
 

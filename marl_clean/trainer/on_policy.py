@@ -1,4 +1,4 @@
-"""The on-policy loop: play a block, learn from it a few times, forget it."""
+"""The on-policy loop: collect a block, learn from it a few times, forget it."""
 
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -13,14 +13,14 @@ from marl_clean.learning.ppo import Ppo
 from marl_clean.logger.base import Logger
 from marl_clean.settings import PositiveInt, Probability
 from marl_clean.storage.checkpoint import Checkpoints
-from marl_clean.trainer._training import check_finite
-from marl_clean.trainer.base import Evaluate, Run, Trainer
+from marl_clean.trainer._tally import check_finite
+from marl_clean.trainer.base import Evaluate, Trainer, TrainingLoop
 
 
 class OnPolicy(Trainer):
     """Train an agent from what it has just played, in a budget of frames.
 
-    Every block of frames: play with exploration, estimate advantages, learn from the block
+    Every block of frames: collect with exploration, estimate advantages, learn from the block
     `epochs` times in minibatches drawn anew. A network that carries something from step to step
     learns from worlds' rows of the whole block, the first frame starting from what was carried
     when it was played. All else as in `Trainer`.
@@ -77,12 +77,12 @@ class OnPolicy(Trainer):
         evaluate: Evaluate,
         loggers: list[Logger],
         checkpoints: Checkpoints,
-    ) -> "OnPolicyRun":
-        return OnPolicyRun(self, env, agent, evaluate, loggers, checkpoints)
+    ) -> "OnPolicyLoop":
+        return OnPolicyLoop(self, env, agent, evaluate, loggers, checkpoints)
 
 
-class OnPolicyRun(Run):
-    """A run that remembers nothing but its last block."""
+class OnPolicyLoop(TrainingLoop):
+    """A training that remembers nothing but its last block."""
 
     settings: OnPolicy
 

@@ -8,7 +8,7 @@ from marl_clean import build, keys
 from marl_clean.config.compose import compose_config
 from marl_clean.errors import BadInput
 from marl_clean.learning.acting import begin_carrying, entries
-from marl_clean.trainer._training import CarriedCollector, Rows, Windows
+from marl_clean.trainer._collecting import CarriedCollector, Rows, Windows
 
 BASE = [
     "train_houses=8",

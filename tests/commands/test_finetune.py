@@ -179,9 +179,9 @@ def test_a_killed_run_goes_on_from_its_state_and_not_from_the_start(
 ) -> None:
     settings = ["train", *AT_HOME, "trainer.checkpoint_interval_frames=64"]
     assert cli.main([*settings, "name=whole"]) == 0
-    from marl_clean.trainer.off_policy import OffPolicyRun
+    from marl_clean.trainer.off_policy import OffPolicyLoop
 
-    learn = OffPolicyRun.learn
+    learn = OffPolicyLoop.learn
     for block in (2, 3):
 
         def dying(self, played, block=block):
@@ -190,7 +190,7 @@ def test_a_killed_run_goes_on_from_its_state_and_not_from_the_start(
                 raise Killed
 
         with monkeypatch.context() as patch, pytest.raises(Killed):
-            patch.setattr(OffPolicyRun, "learn", dying)
+            patch.setattr(OffPolicyLoop, "learn", dying)
             cli.main([*settings, "name=killed"])
     assert cli.main([*settings, "name=killed"]) == 0
     rows = [Path(f"runs/{name}/metrics.csv").read_text() for name in ("whole", "killed")]

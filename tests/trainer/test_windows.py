@@ -5,7 +5,7 @@ import torch
 from tensordict import TensorDict
 
 from marl_clean import keys
-from marl_clean.trainer._training import Windows
+from marl_clean.trainer._collecting import Windows
 
 
 def block(start: int, steps: int, done_at: dict[int, str], worlds: int = 2) -> TensorDict:
