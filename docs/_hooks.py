@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 
 from marl_clean.commands.listing import claim
 from marl_clean.config.compose import compose_config
-from marl_clean.config.levels import PRESETS, SEVERAL, conf_folder, groups, rooms
+from marl_clean.config.levels import PRESETS, SEVERAL, conf_folder, groups, read_level, rooms
 
 ROOMS = "<!-- table of rooms -->"
 SETTINGS = "<!-- tables of settings -->"
@@ -66,7 +66,7 @@ def settings() -> Iterator[str]:
     for room, levels in rooms().items():
         yield from (f"### {room}", "")
         for level in levels:
-            claims = claim(conf_folder() / room / f"{level}.yaml")
+            claims = claim(read_level(room, level)["_target_"])
             yield from (f"**`{room}={level}`**: {claims}", "", *level_table(room, level), "")
 
 
