@@ -7,7 +7,7 @@ import re
 from enum import Enum, StrEnum
 from typing import Annotated, Literal, TypedDict
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 
 class Memory(StrEnum):
@@ -104,6 +104,12 @@ def _ascending(value: list[int]) -> list[int]:
     return value
 
 
+def _two_numbers(value: object) -> object:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        raise ValueError(f"must be a range, not {value}; give [{value}, {value}] or two numbers")
+    return value
+
+
 def _pays_as(value: float) -> float:
     if value not in (-0.2, 0):
         raise ValueError(f"must be -0.2 or 0, not {value}")
@@ -113,7 +119,9 @@ def _pays_as(value: float) -> float:
 PositiveInt = Annotated[int, Field(ge=1, lt=2**31)]
 NonNegativeInt = Annotated[int, Field(ge=0, lt=2**31)]
 Worlds = Annotated[int, Field(ge=1, le=1_000_000)]
-Layers = Annotated[list[PositiveInt], Field(min_length=1)]
+LayerWidth = Annotated[int, Field(ge=1, le=16_384)]  # of a layer: two such are 1 GiB of weights
+Layers = Annotated[list[LayerWidth], Field(min_length=1, max_length=32)]
+BufferFrames = Annotated[int, Field(ge=1, le=100_000_000)]
 RadiusCells = Annotated[float, Field(gt=0, le=64)]
 Precision = Literal["float32", "bfloat16"]
 Recurrence = Literal["none", "gru"]
@@ -127,12 +135,14 @@ UncleanedAtMost = Annotated[float, Field(ge=0, lt=0.5)]  # a cleaned cell is sho
 UnknownPaysAs = Annotated[float, AfterValidator(_pays_as)]
 Scales = Annotated[int, Field(ge=2, le=4)]
 RangeCells = Annotated[int, Field(ge=1, le=1024)]
+LONGEST_NAME = 200  # of a run; file systems take 255 bytes a folder
 LARGEST_SIDE = 4096  # rows or columns of a house in cells, or of its image in pixels
 HouseSide = Annotated[int, Field(ge=1, le=LARGEST_SIDE)]
 Range = Annotated[
     list[HouseSide],
     Field(min_length=2, max_length=2),
     AfterValidator(_ascending),
+    BeforeValidator(_two_numbers),
 ]
 Ranges = Annotated[list[Range], Field(min_length=1)]
 Kinds = Annotated[list[Literal["rooms", "single_room", "open"]], Field(min_length=1)]
@@ -150,6 +160,8 @@ Colours = Annotated[list[list[int]], AfterValidator(_colours)]
 
 
 def _folder_name(value: str) -> str:
+    if len(value) > LONGEST_NAME:
+        raise ValueError(f"must be at most {LONGEST_NAME} characters, not {len(value)}")
     if not re.fullmatch(r"[\w+=,@-][\w.+=,@-]*(/[\w+=,@-][\w.+=,@-]*)*", value):
         raise ValueError(f"must be a folder's name of letters, digits and _.+=,@- , not {value!r}")
     return value

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from marl_clean.comm._hidden_states import HiddenStates, mean_over_all_others
 from marl_clean.comm.base import Width, sum_live
-from marl_clean.settings import PositiveInt
+from marl_clean.settings import LayerWidth, PositiveInt
 
 
 @final
@@ -35,7 +35,7 @@ class CommNet(HiddenStates):
     def __init__(
         self,
         in_features: Width,
-        hidden: PositiveInt,
+        hidden: LayerWidth,
         rounds: PositiveInt,
         divisor: Literal["live", "others"],
         detach: bool,

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from marl_clean.comm.base import Comm, Width, attend, dense, outgoing
-from marl_clean.settings import NonNegativeFloat, PositiveInt
+from marl_clean.settings import LayerWidth, NonNegativeFloat, PositiveInt
 
 State = tuple[list[Tensor], Tensor | None]  # features of all rounds so far, the last attention
 
@@ -43,9 +43,9 @@ class Dgn(Comm):
     def __init__(
         self,
         in_features: Width,
-        hidden: PositiveInt,
+        hidden: LayerWidth,
         heads: PositiveInt,
-        head_dim: PositiveInt,
+        head_dim: LayerWidth,
         rounds: PositiveInt,
         detach: bool,
         pull: NonNegativeFloat = 0.0,

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from marl_clean.comm._joining import Joining, message_layers
 from marl_clean.comm.base import NoisyWhileLearning, Width
-from marl_clean.settings import NonNegativeFloat, PositiveInt
+from marl_clean.settings import LayerWidth, NonNegativeFloat, PositiveInt
 
 
 class Bits(NoisyWhileLearning):
@@ -56,9 +56,9 @@ class Dial(Joining):
     def __init__(
         self,
         in_features: Width,
-        message_dim: PositiveInt,
-        hidden: PositiveInt,
-        received: PositiveInt,
+        message_dim: LayerWidth,
+        hidden: LayerWidth,
+        received: LayerWidth,
         combine: Literal["ordered", "sum"],
         max_neighbours: PositiveInt,
         noise_std: NonNegativeFloat,

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from marl_clean.comm._joining import Joining
 from marl_clean.comm.base import Width, outgoing
-from marl_clean.settings import PositiveInt
+from marl_clean.settings import LayerWidth, PositiveInt
 
 
 @final
@@ -38,8 +38,8 @@ class FullState(Joining):
         self,
         in_features: Width,
         observed: Width,
-        hidden: PositiveInt,
-        received: PositiveInt,
+        hidden: LayerWidth,
+        received: LayerWidth,
         combine: Literal["ordered", "sum"],
         max_neighbours: PositiveInt,
         detach: bool,

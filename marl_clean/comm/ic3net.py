@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from marl_clean.comm._hidden_states import HiddenStates, State, mean_over_all_others
 from marl_clean.comm.base import NoisyWhileLearning, Width, outgoing
-from marl_clean.settings import PositiveFloat, PositiveInt
+from marl_clean.settings import LayerWidth, PositiveFloat, PositiveInt
 
 
 class Gate(NoisyWhileLearning):
@@ -62,7 +62,7 @@ class Ic3Net(HiddenStates):
     def __init__(
         self,
         in_features: Width,
-        hidden: PositiveInt,
+        hidden: LayerWidth,
         rounds: PositiveInt,
         temperature: PositiveFloat,
         detach: bool,

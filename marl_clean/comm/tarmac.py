@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from marl_clean.comm.base import Comm, Width, attend, outgoing
-from marl_clean.settings import PositiveInt
+from marl_clean.settings import LayerWidth, PositiveInt
 
 
 @final
@@ -34,8 +34,8 @@ class TarMac(Comm):
     def __init__(
         self,
         in_features: Width,
-        message_dim: PositiveInt,
-        key_dim: PositiveInt,
+        message_dim: LayerWidth,
+        key_dim: LayerWidth,
         rounds: PositiveInt,
         self_included: bool,
         detach: bool,

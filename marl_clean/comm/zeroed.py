@@ -8,7 +8,7 @@ from torch import Tensor
 
 from marl_clean.comm._joining import Joining, message_layers
 from marl_clean.comm.base import Width
-from marl_clean.settings import PositiveInt
+from marl_clean.settings import LayerWidth, PositiveInt
 
 
 @final
@@ -31,9 +31,9 @@ class Zeroed(Joining):
     def __init__(
         self,
         in_features: Width,
-        message_dim: PositiveInt,
-        hidden: PositiveInt,
-        received: PositiveInt,
+        message_dim: LayerWidth,
+        hidden: LayerWidth,
+        received: LayerWidth,
         combine: Literal["ordered", "sum"],
         max_neighbours: PositiveInt,
     ) -> None:

@@ -15,9 +15,11 @@ from marl_clean.config.fitting import check_fit
 from marl_clean.config.levels import level_of
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import RUNS, check_same_run, find_run, load_config
+from marl_clean.encoder._convolved import check_strides, fewest_weights, side_after
 from marl_clean.errors import BadInput
 from marl_clean.house.base import check_largest, draw_houses, split_seeds
 from marl_clean.house.floorplan import FloorPlan
+from marl_clean.trainer._frames import check_frames
 
 
 def check_house(config: DictConfig) -> None:
@@ -119,8 +121,33 @@ def check_out(path: Path) -> None:
             return
 
 
+def check_sizes(config: DictConfig) -> None:
+    """Raises BadInput where sizes of the encoder or the training loop do not fit each other.
+
+    Levels that have other keys, or a view whose side only they know, check their own when built.
+    """
+    env, encoder, budget = config.env, config.encoder, config.parameter_budget
+    check_frames(config.trainer, env.num_envs)
+    if "strides" not in encoder:
+        return
+    check_strides(encoder.channels, encoder.strides)
+    if "view_size" in config.observation:
+        shape = (encoder.kernel_size, encoder.strides, encoder.padding)
+        side_after(config.observation.view_size, *shape)
+    least = fewest_weights(encoder.channels, encoder.kernel_size)
+    if budget is not None and budget < least:
+        raise BadInput(
+            f"parameter_budget={budget}: the encoder's convolutions have {least} weights already;"
+            " give more"
+        )
+
+
 def check_run_folder(config: DictConfig) -> None:
-    """Raises BadInput when the folder of the run's name holds a run of another config."""
+    """Raises BadInput when the folder of the run's name is a file, or a run of another config."""
+    folder = RUNS / config.name
+    for place in (folder, *folder.parents):
+        if place.exists() and not place.is_dir():
+            raise BadInput(f"name={config.name}: {place} is a file; choose another name")
     check_same_run(config, RUNS / config.name)
 
 
@@ -169,5 +196,5 @@ def check_all(config: DictConfig, training: bool = False, here: bool = True) -> 
 
 
 CHECKS = [check_optimum, check_house]
-OF_TRAINING = [check_fit, check_plans, check_teams, check_old_houses, check_run_folder]
+OF_TRAINING = [check_fit, check_sizes, check_plans, check_teams, check_old_houses, check_run_folder]
 OF_THE_MACHINE = [check_compile, check_device]

@@ -33,6 +33,7 @@ from marl_clean.storage.safe_yaml import load_yaml
 
 RUNS = Path("runs")
 CONFIG = "config.yaml"
+LONGEST_PART, LONGEST_PATH = 255, 4000  # characters of a file's name and path
 WEIGHTS = "weights"
 NETWORK = ("observation", "encoder", "comm", "agent", "parameter_budget")
 SAME_NETWORK = ("observation.position_noise",)  # of these rooms, but any weights play with it
@@ -130,6 +131,11 @@ def find_run(run: str) -> Path:
 
     Raises BadInput without one.
     """
+    if max(map(len, Path(run).parts), default=0) > LONGEST_PART or len(run) > LONGEST_PATH:
+        raise BadInput(
+            f"checkpoint={run[:40]}...: {len(run)} characters are no path; give the folder or the"
+            " name of a run"
+        )
     shipped = shipped_runs()
     for folder in (Path(run), RUNS / run, *([shipped[run]] if run in shipped else [])):
         if (folder / CONFIG).is_file():

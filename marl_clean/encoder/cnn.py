@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from marl_clean.encoder._convolved import check_strides, side_after
 from marl_clean.encoder.base import Encoder, connect
 from marl_clean.errors import BadInput
 from marl_clean.settings import Form, Layers, NonNegativeInt, PositiveInt, Probability, Recurrence
@@ -61,11 +62,7 @@ class Cnn(Encoder):
         super().__init__()
         if len(observation_shape) != 3:
             raise BadInput(f"encoder=cnn: takes squares, not {list(observation_shape)}")
-        if len(channels) != len(strides):
-            raise BadInput(
-                f"encoder.strides: {len(strides)} strides for {len(channels)} convolutions;"
-                " give one for each of encoder.channels"
-            )
+        check_strides(channels, strides)
         self.spread = spread if planes else None
         self.memory_format = torch.channels_last if channels_last else torch.contiguous_format
         in_channels, *sides = observation_shape
@@ -78,12 +75,7 @@ class Cnn(Encoder):
                 nn.Conv2d(before, after, kernel_size, stride, padding),
                 nn.ReLU(inplace=True),
             ]
-            sides = [(side + 2 * padding - kernel_size) // stride + 1 for side in sides]
-        if min(sides) < 1:
-            raise BadInput(
-                f"encoder.channels: a view of {observation_shape[-1]} is too small for"
-                f" {len(channels)} convolutions; use fewer, smaller strides or more padding"
-            )
+        sides = [side_after(side, kernel_size, strides, padding) for side in sides]
         self.convolutions = nn.Sequential(*convolutions)
         self.convolutions.to(memory_format=self.memory_format)  # type: ignore[call-overload]
         self.connected = connect([channels[-1] * math.prod(sides), *hidden], dropout)

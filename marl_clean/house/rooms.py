@@ -6,10 +6,12 @@ from typing import ClassVar, NamedTuple, final
 
 import numpy as np
 
+from marl_clean.errors import BadInput
 from marl_clean.house.base import House, HouseLayout, between, check_range, stream
 from marl_clean.settings import PositiveInt, Probability, Range
 
 WALL, FREE = -1, 0  # a positive cell is the piece of furniture of that number
+MOST_PIECES = 2**15 - 1  # what int16 holds
 TRIES_PER_PIECE = 5
 CELLS_BETWEEN_DOORS = 3
 
@@ -70,6 +72,11 @@ class Rooms(House):
         pieces = 0
         for room in self._divided(grid, Box(1, 1, rows - 1, cols - 1), numbers):
             pieces = self._furnish(grid, room, pieces, numbers)
+        if pieces > MOST_PIECES:
+            raise BadInput(
+                f"house.cells_per_piece: {pieces:,} pieces of furniture in {rows}x{cols} cells, and"
+                f" at most {MOST_PIECES:,} are told apart; give smaller houses or fewer pieces"
+            )
         cells = np.array(grid, dtype=np.int16)
         furniture = np.maximum(cells, 0)
         return HouseLayout(free=cells == FREE, furniture=furniture, starts=None, source=seed)

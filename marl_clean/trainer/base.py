@@ -21,6 +21,7 @@ from marl_clean.logger.base import CLOCK, Logger, Progress
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer._collecting import CarriedCollector
 from marl_clean.trainer._curriculum import Curriculum
+from marl_clean.trainer._frames import check_frames
 from marl_clean.trainer._interrupts import Interrupts, Stopped
 from marl_clean.trainer._outcome import Outcome
 from marl_clean.trainer._random import random_state, restore_random
@@ -72,13 +73,7 @@ class Trainer(ABC):
                 f"trainer.{key}: {row} frames in a row, but what is learnt goes {agent.history}"
                 f" steps back (memory, delayed messages); at least {agent.history + 1} are valid"
             )
-        num_envs = env.batch_size.numel()
-        if self.frames_per_batch % num_envs:
-            near = max(1, self.frames_per_batch // num_envs) * num_envs
-            raise BadInput(
-                f"trainer.frames_per_batch={self.frames_per_batch}: must be a multiple of"
-                f" env.num_envs={num_envs}, such as {near}"
-            )
+        check_frames(vars(self), env.batch_size.numel())
         Curriculum(*self.curriculum).check(env.base_env)
 
     def train(

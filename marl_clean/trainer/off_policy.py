@@ -9,10 +9,15 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs import EnvBase
 
 from marl_clean import keys
-from marl_clean.errors import BadInput
 from marl_clean.learning.agent import Agent
 from marl_clean.logger.base import Logger
-from marl_clean.settings import NonNegativeInt, PositiveFloat, PositiveInt, Probability
+from marl_clean.settings import (
+    BufferFrames,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    Probability,
+)
 from marl_clean.storage.checkpoint import Checkpoints
 from marl_clean.trainer._collecting import Rows, Windows, replay_state, restore_replay
 from marl_clean.trainer._tally import check_finite
@@ -44,7 +49,7 @@ class OffPolicy(Trainer):
         self,
         total_frames: PositiveInt,
         frames_per_batch: PositiveInt,
-        buffer_frames: PositiveInt,
+        buffer_frames: BufferFrames,
         batch_frames: PositiveInt,
         replay_ratio: PositiveFloat,
         start_frames: NonNegativeInt,
@@ -72,15 +77,6 @@ class OffPolicy(Trainer):
 
     def longest_row(self, env: EnvBase) -> tuple[str, int]:
         return "window_frames", self.window_frames
-
-    def check(self, env: EnvBase, agent: Agent) -> None:
-        for key in ("buffer_frames", "batch_frames"):
-            if getattr(self, key) < self.window_frames:
-                raise BadInput(
-                    f"trainer.{key}={getattr(self, key)}: must hold at least"
-                    f" trainer.window_frames={self.window_frames}"
-                )
-        super().check(env, agent)
 
     def begin(
         self,

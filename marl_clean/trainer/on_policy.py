@@ -7,7 +7,6 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
-from marl_clean.errors import BadInput
 from marl_clean.learning.agent import Agent
 from marl_clean.learning.ppo import Ppo
 from marl_clean.logger.base import Logger
@@ -61,14 +60,6 @@ class OnPolicy(Trainer):
 
     def longest_row(self, env: EnvBase) -> tuple[str, int]:
         return "frames_per_batch", self.frames_per_batch // env.batch_size.numel()
-
-    def check(self, env: EnvBase, agent: Agent) -> None:
-        super().check(env, agent)
-        if self.frames_per_batch % self.minibatch_frames:
-            raise BadInput(
-                f"trainer.minibatch_frames={self.minibatch_frames}: must divide"
-                f" trainer.frames_per_batch={self.frames_per_batch}"
-            )
 
     def begin(
         self,

@@ -70,6 +70,21 @@ MORE_BAD_COMMANDS = {
     "train +experiment=paper_central evaluation.team_sizes=[3]": "agent=central_dqn is of env.n",
     "train +experiment=spread evaluation.team_sizes=[3]": "a task of others; valid: []",
     "train -m agent.lr=1,2 sed=3": "did you mean seed?",
+    "train encoder.channels=[1,2]": "encoder.strides: 3 strides for 2 convolutions",
+    "train encoder.kernel_size=99": "encoder.channels: a view of 15 is too small",
+    "train trainer.frames_per_batch=100": "a multiple of env.num_envs=128, such as 128",
+    "train trainer.buffer_frames=1": "trainer.buffer_frames=1: must hold at least",
+    "train agent=ippo trainer=on_policy trainer.minibatch_frames=3": "must divide",
+    "train parameter_budget=1": "parameter_budget=1: the encoder's convolutions have",
+    f"train name={'n' * 300}": "name: must be at most 200 characters, not 300",
+    f"evaluate checkpoint={'c' * 5000}": "checkpoint=ccc",
+    f"evaluate checkpoint={'c' * 300}": "checkpoint=ccc",
+    "train encoder.hidden=[999999999]": "encoder.hidden",
+    "train comm.message_dim=999999999": "comm.message_dim",
+    "train trainer.buffer_frames=2000000000": "trainer.buffer_frames",
+    "train logger.csv._target_=marl_clean.logger.base.Logger": "logger.csv._target_: must name",
+    "evaluate planner=random house.rows=[999,999] house.cols=[999,999]": "pieces of furniture",
+    "train house.rows=14": "house.rows: must be a range, not 14; give [14, 14] or two numbers",
     "evaluate out=.": "out=.",
     "evaluate out=walls.txt/x.json": "walls.txt",
     "evaluate env.n_agents=99": "env.n_agents",
@@ -133,6 +148,16 @@ def test_a_device_that_is_not_there(place: Path, capsys: pytest.CaptureFixture[s
     assert cli.main(["train", "device=cuda:99"]) == cli.BAD_INPUT
     assert "device=cuda:99: not on this machine; valid: cpu" in capsys.readouterr().err
     assert not Path("runs").exists()
+
+
+@pytest.mark.parametrize("command", ["train", "train -m seed=1,2"])
+def test_a_run_is_not_called_like_a_file(
+    command: str, place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("runs").mkdir()
+    Path("runs/README.md").touch()
+    assert cli.main([*command.split(), "name=README.md"]) == cli.BAD_INPUT
+    assert "runs/README.md is a file; choose another name" in capsys.readouterr().err
 
 
 COMPOSING = [

@@ -149,6 +149,11 @@ def test_a_preset_may_have_a_plus_or_not(override: str) -> None:
     assert compose_config([override.format(preset)]).name.startswith(f"{preset}-")
 
 
+def test_one_text_is_no_list_of_settings() -> None:
+    with pytest.raises(BadInput, match=r"^'env.n_agents=3' is one text; give a list of settings"):
+        compose_config("env.n_agents=3")
+
+
 def test_an_int_is_a_float_but_a_bool_is_no_int() -> None:
     assert schema.mismatch(1, float) is None
     assert schema.mismatch(True, int) is not None
