@@ -12,7 +12,8 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
-from marl_clean.config.compose import EXPERIMENT, SEVERAL, dotted_keys, groups, unchecked
+from marl_clean.config.compose import dotted_keys, unchecked
+from marl_clean.config.levels import EXPERIMENT, SEVERAL, groups
 from marl_clean.config.stored import find_run, load_config
 from marl_clean.errors import BadInput
 from marl_clean.house.floorplan import SHIPPED, SUFFIXES
