@@ -21,9 +21,11 @@ __all__ = [
     "load_policy",
     "make_env",
     "train",
+    "use_plugins",
 ]
 
 if TYPE_CHECKING:
+    from marl_clean.config.locate import use_plugins
     from marl_clean.env.cleaning import CleaningEnv
     from marl_clean.errors import BadInput
     from marl_clean.python.door import compare, evaluate, load_policy, make_env, train
@@ -35,6 +37,7 @@ else:
         "CleaningEnv": "env.cleaning",
         "Run": "python.run",
         "Table": "python.table",
+        "use_plugins": "config.locate",
         **dict.fromkeys(("compare", "evaluate", "load_policy", "make_env", "train"), "python.door"),
     }
 

@@ -52,6 +52,8 @@ def use_plugins(names: Sequence[str]) -> None:
 
     Raises BadInput where there is no such package, or it is no plugin.
     """
+    if isinstance(names, str):
+        raise BadInput(f"plugins: give a list, such as [{names!r}]")
     _named.update({name: _plugin(name) for name in names})
     packages()
 

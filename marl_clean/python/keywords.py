@@ -14,6 +14,7 @@ from typing import Any
 
 from marl_clean.config.compose import dotted_keys, unchecked
 from marl_clean.config.levels import EXPERIMENT, SEVERAL, groups
+from marl_clean.config.locate import use_plugins
 from marl_clean.config.stored import find_run, load_config
 from marl_clean.errors import BadInput
 from marl_clean.house.floorplan import SHIPPED, SUFFIXES
@@ -21,7 +22,7 @@ from marl_clean.house.floorplan import SHIPPED, SUFFIXES
 Settings = str | Sequence[str] | None
 """A preset by its name, or overrides as on the command line; None: the defaults."""
 
-CHECKPOINT, HOUSE = "checkpoint", "house"
+CHECKPOINT, HOUSE, PLUGINS = "checkpoint", "house", "plugins"
 BARE = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
 RESERVED = ("null", "true", "false", "nan", "inf")  # words that are no text in a setting
 NEAREST = 3
@@ -31,10 +32,13 @@ def overrides_of(settings: Settings, keywords: Mapping[str, Any]) -> list[str]:
     """What a Python call asks for as overrides: `settings`, then `keywords`.
 
     A keyword is a room, which takes a level; a key of the root; a key of one section, without its
-    name (`n_agents=3`) or with it (`env={"n_agents": 3}`, `**{"env.n_agents": 3}`).
+    name (`n_agents=3`) or with it (`env={"n_agents": 3}`, `**{"env.n_agents": 3}`). `plugins`
+    names packages whose levels are known from then on, as by `use_plugins`.
 
     Raises BadInput for a keyword that names no key or several, and a value that is no setting.
     """
+    use_plugins(keywords.get(PLUGINS, ()))
+    keywords = {key: value for key, value in keywords.items() if key != PLUGINS}
     given = [text for setting in _listed(settings) for text in _with_plan(setting)]
     rooms = groups()
     levels: list[str] = []

@@ -14,6 +14,7 @@ from marl_clean.config.levels import rooms
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import load_config
 from marl_clean.errors import BadInput
+from marl_clean.python.keywords import overrides_of
 
 EXPLODES = "raise SystemExit('imported')\n"
 SCHEME = '''"""A scheme."""
@@ -191,3 +192,14 @@ def test_jobs_of_a_sweep_know_the_plugins_in_whatever_process(make: Make, monkey
 
 def test_without_plugins_no_line_of_the_list_is_marked() -> None:
     assert not [line for line in listing.lines() if line.endswith("(hushed)")]
+
+
+def test_the_python_door_takes_plugins(make: Make) -> None:
+    name = make()
+    with locate.plugins_in_use([]):  # so that nothing stays known
+        config = compose.compose_config(overrides_of(None, {"comm": "hush", "plugins": [name]}))
+        assert config.comm._target_ == "hushed.schemes.Hush"
+        assert locate.named_plugins() == [name]
+        with pytest.raises(BadInput, match=r"plugins: give a list, such as \['hushed'\]"):
+            overrides_of(None, {"plugins": name})
+    assert locate.named_plugins() == []
