@@ -147,9 +147,14 @@ class PettingZoo(Played):
         return self._answer(entries, [no_end.clone() for _ in keys.ENDINGS])
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        chosen = tensordict.select(keys.ACTION).cpu().unbind(0)
+        chosen = tensordict.select(keys.ACTION).cpu()
+        action, count = chosen[keys.ACTION], self.full_action_spec[keys.ACTION].n
+        if wrong := action[(action < 0) | (action >= count)].tolist():
+            raise BadInput(f"action {wrong[0]}: valid: 0 to {count - 1}")
         # As TorchRL's SerialEnv does it: `step` would check each copy's every entry again.
-        later = [copy._step(action) for copy, action in zip(self.copies, chosen, strict=True)]
+        later = [
+            copy._step(action) for copy, action in zip(self.copies, chosen.unbind(0), strict=True)
+        ]
         seen = torch.stack([one[keys.OBSERVATION] for one in later]).flatten(2)
         earned = torch.stack([one[keys.REWARD] for one in later])
         endings = [torch.stack([one[key] for one in later]) for key in keys.ENDINGS]

@@ -147,6 +147,15 @@ def test_agents_are_paid_in_the_tasks_order(copies: dict[str, Any]) -> None:
     assert later[keys.REWARD][..., 0].tolist() == [[11, 11], [15, 15], [18, 18]]
 
 
+@pytest.mark.parametrize("action", [-1, 5])
+def test_an_action_that_there_is_not_is_one_line(copies: dict[str, Any], action: int) -> None:
+    env = make_env(SPREAD)
+    td = env.reset()
+    td[keys.ACTION] = torch.tensor([[0, 1], [2, action], [4, 4]])
+    with pytest.raises(BadInput, match=f"^action {action}: valid: 0 to 4$"):
+        env.step(td)
+
+
 @pytest.mark.parametrize("terminates", [True, False])
 def test_an_episode_ends_for_all_when_it_ends_for_one(
     copies: dict[str, Any], terminates: bool
