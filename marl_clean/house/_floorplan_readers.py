@@ -1,4 +1,4 @@
-"""Reads floor plans that others made: map_server, MovingAI, plain images.
+"""Reads floor plan files: map_server, MovingAI, plain images.
 
 Every reader returns Cells. All limits are checked before anything is decoded, and whatever is
 wrong raises BadInput in one line. Torch-free.
@@ -25,7 +25,7 @@ LARGEST_YAML_BYTES = 16 * 2**10
 DEEPEST_YAML = 3
 MAP_SERVER_KEYS = ("image", "resolution", "origin", "occupied_thresh", "free_thresh", "negate")
 FREE_FROM_GREY = 128
-SAVED_UNKNOWN = 205  # the grey of what was not seen, as map_saver writes it
+SAVED_UNKNOWN = 205  # the grey that map_saver writes for unknown cells
 PASSABLE, IMPASSABLE = b".GS", b"@OTW"
 
 
@@ -33,8 +33,8 @@ PASSABLE, IMPASSABLE = b".GS", b"@OTW"
 class Cells:
     """What a file says of every cell, bool [rows, cols], row 0 at the top.
 
-    `unknown` cells are neither free nor wall: nothing was seen there. `doubt` says why what is
-    free may be more than the house; how much of it lies on the plan's edge tells.
+    `unknown` cells are neither free nor wall: nothing was seen there. `doubt` is a warning that
+    cells outside the house may count as free; None without such a doubt.
     """
 
     free: np.ndarray
@@ -77,7 +77,7 @@ def read_map_server(file: Path, cell_metres: float) -> Cells:
 
 
 def read_movingai(file: Path) -> Cells:
-    """A MovingAI `.map`: one character one cell, the first character is row 0, column 0.
+    """A MovingAI `.map`: one character per cell, the first is row 0, column 0.
 
     `type`, `height R`, `width C`, `map`, then R rows of C characters: `.` `G` `S` passable,
     `@` `O` `T` `W` not.
@@ -113,7 +113,7 @@ def read_image(
 ) -> Cells:
     """A plain image: free where the mean of the colours is at least 128 of 255, and opaque.
 
-    With `free_colours` free is what has one of them instead. A pixel is a cell; with
+    With `free_colours`, pixels of one of these colours are free instead. A pixel is a cell; with
     `pixel_metres` the image is cut into cells of `cell_metres`.
     """
     pixels = read_pixels(file, free_colours or ())

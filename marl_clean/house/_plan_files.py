@@ -1,4 +1,4 @@
-"""Finds and reads files that come from outside: bounded, and with one plain line when it fails.
+"""Finds and reads floor plan files: of bounded size, and a failure is one plain line.
 
 NumPy-free and torch-free.
 """
@@ -14,10 +14,10 @@ LARGEST_FILE_BYTES = 16 * 2**20
 
 
 def find_plan(path: str, shipped: Path, suffixes: tuple[str, ...]) -> Path:
-    """The file at `path`, relative to the working directory, or the shipped plan of that name.
+    """The file at `path`, relative to the working directory, or the shipped one of that name.
 
-    `~` is the home folder. Of shipped plans of one name, the one with the first of `suffixes`.
-    Raises BadInput for no such file, or one whose name ends on none of `suffixes`.
+    `~` is the home folder. Among shipped files of one name, the earliest of `suffixes` wins.
+    Raises BadInput for a missing file, or a name that ends in none of `suffixes`.
     """
     file = _expanded(path)
     if not is_file(file):
@@ -33,12 +33,12 @@ def find_plan(path: str, shipped: Path, suffixes: tuple[str, ...]) -> Path:
 
 @cache
 def warn_once(text: str) -> None:
-    """Warn of what a file holds, once a process however often the file is read."""
+    """Log a warning about a file, once per process however often the file is read."""
     logging.getLogger(__name__).warning("%s", text)
 
 
 def is_file(file: Path) -> bool:
-    """Whether an ordinary file is there; a name that no file can have is none."""
+    """Whether an ordinary file is there; False for a name that no file can have."""
     try:
         return file.is_file()
     except (OSError, ValueError):  # too long, or with a null byte
@@ -80,7 +80,7 @@ def _expanded(path: str) -> Path:
 
 
 def _nearest(file: Path, suffixes: tuple[str, ...], shipped: list[str]) -> str:
-    """What could have been meant: a like-named file beside it, a shipped plan, else the kinds."""
+    """A suggestion: a similar name beside it or among shipped floor plans, else what is valid."""
     try:
         beside = [each.name for each in file.parent.iterdir() if each.suffix.lower() in suffixes]
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Images of floor plans as shades and colours: bounded, and with one plain line when one is bad.
+"""Images of floor plans as shades and colours: of bounded size, and a failure is one plain line.
 
 All limits are checked before anything is decoded. Torch-free.
 """
@@ -34,7 +34,7 @@ class Pixels:
     """An image, row 0 at the top: all arrays are [height, width].
 
     `shade` uint16, 0 black to 765 white; `opaque` bool; `chosen` bool, whether a pixel has one
-    of the colours asked for; `mostly_coloured`: more than half of the opaque pixels are no grey.
+    of the colours asked for; `mostly_coloured`: more than half of the opaque pixels are not grey.
     """
 
     shade: np.ndarray
@@ -46,7 +46,7 @@ class Pixels:
 def read_pixels(file: Path, colours: Sequence[Sequence[int]] = ()) -> Pixels:
     """The image in `file`; `colours` are the (red, green, blue) that are `chosen`.
 
-    Raises BadInput for no image, a damaged one, or one that is larger than the limits.
+    Raises BadInput for a file that is no image, is damaged, or is larger than the limits.
     """
     content = io.BytesIO(read_bytes(file))
     with _one_line(file):
@@ -62,7 +62,7 @@ def read_pixels(file: Path, colours: Sequence[Sequence[int]] = ()) -> Pixels:
 
 @contextmanager
 def _one_line(file: Path) -> Iterator[None]:
-    """Turns what Pillow raises into BadInput, and what it only warns of into nothing."""
+    """Turns errors of Pillow into BadInput, and silences its warnings."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -10,7 +10,7 @@ from marl_clean.errors import BadInput
 
 @dataclass(frozen=True)
 class Regions:
-    """The free cells of a plan: those of the one region that is the house, and all others.
+    """The free cells of a floor plan: the one region that is the house, and all others.
 
     `kept` and `left_out` are bool [rows, cols]; `num_left_out` counts regions.
     """
@@ -26,12 +26,12 @@ class Regions:
 
     @property
     def edge_cells(self) -> int:
-        """Cells of the house in the plan's first or last row or column, where no wall can be."""
+        """Cells of the house in the first or last row or column, where no wall can enclose them."""
         inner = self.kept[1:-1, 1:-1]
         return self.kept_cells - int(np.count_nonzero(inner))
 
     def describe(self, cell_metres: float | None) -> str:
-        """Size, free cells, what is left out and what touches the edge, as one line."""
+        """Size, free cells, cells left out and cells on the edge, as one line."""
         rows, cols = self.kept.shape
         side = "" if cell_metres is None else f" of {cell_metres:g} m"
         parts = [f"{rows:,} x {cols:,} cells{side}", f"{self.kept_cells:,} free in one region"]
@@ -49,7 +49,7 @@ class Regions:
 def split_regions(
     free: np.ndarray, starts: tuple[tuple[int, int], ...] | None, source: int | str
 ) -> Regions:
-    """The region of the starts, or without any the largest, and what lies outside of it.
+    """The region of the starts, or without starts the largest, and all free cells outside it.
 
     Of equally large regions it is the one with the smallest (row, col). Cells connect by their
     four sides. Raises BadInput: no free cell, or starts in two regions.
@@ -66,7 +66,7 @@ def split_regions(
                     "regions; all starts must lie in one"
                 )
     else:
-        # Regions are numbered in reading order, so the first of equal ones is the right one.
+        # Regions are numbered in reading order, so argmax breaks ties as the docstring says.
         kept = 1 + np.argmax(np.bincount(regions.ravel())[1:])
     return Regions(regions == kept, (regions > 0) & (regions != kept), count - 1)
 

@@ -1,4 +1,4 @@
-"""What a house is, who draws one, and how many become a stack.
+"""Houses: the layout of one, the class that draws layouts, and stacks of many.
 
 Rules: world.md "Grid, robots, time". NumPy only, so that the commands can check a house before
 torch is imported.
@@ -27,12 +27,12 @@ DRAWS_PER_SEED = 100
 
 @dataclass(frozen=True)
 class HouseLayout:
-    """One house: where robots can stand, which blocked cells are furniture, who starts where.
+    """One house: its free cells, its furniture, and the cells in which robots start.
 
     `free` is bool [rows, cols]; `furniture` int16 [rows, cols]: 0 none, k > 0 piece k. `starts`
-    are the cells a file gives, in the robots' order; `source` is the seed or the path. Of a floor
-    plan `unknown` is bool [rows, cols], blocked cells of which nothing is known, and `cell_metres`
-    the side of a cell, where the file has a scale.
+    are the cells a file gives, in the robots' order; `source` is the seed or the path. Floor plans
+    alone have `unknown`, bool [rows, cols], blocked cells of which nothing is known, and, where the
+    file has a scale, `cell_metres`, the side of a cell.
     """
 
     free: np.ndarray
@@ -51,7 +51,7 @@ class House(ABC):
     """Draws house layouts. A level of the room is one subclass, final."""
 
     generated: ClassVar[bool]  # True: a layout for every seed; False: one floor plan, from a file
-    shares_count: ClassVar[bool] = False  # True: how often seeds give one layout is asked for
+    shares_count: ClassVar[bool] = False  # True: how many seeds give a layout matters
 
     @abstractmethod
     def layout(self, seed: int, draw: int = 0) -> HouseLayout:
@@ -61,7 +61,7 @@ class House(ABC):
         """
 
     def parts(self) -> Sequence["House"]:
-        """The houses that layouts are drawn from: itself, where it is no mixture."""
+        """The houses that layouts are drawn from: itself, unless it is a mixture."""
         return [self]
 
 
@@ -91,7 +91,7 @@ class Houses:
 
 
 def split_seeds(split: str, count: int) -> range:
-    """The first `count` seeds of a split. Raises BadInput for no such split, or too many."""
+    """The first `count` seeds of a split. Raises BadInput for an unknown split, or too many."""
     if split not in SPLITS:
         raise BadInput(f"split: {split!r} is none of {', '.join(SPLITS)}")
     if not 1 <= count <= len(SPLITS[split]):
@@ -100,11 +100,11 @@ def split_seeds(split: str, count: int) -> range:
 
 
 def draw_houses(house: House, seeds: Sequence[int], n_agents: int) -> Houses:
-    """One house a seed, in order; a floor plan gives one house, whatever the seeds.
+    """One house per seed, in order; a floor plan gives one house, whatever the seeds.
 
     Generated houses have one connected free region and more free cells than robots, or are drawn
-    again. Of a floor plan one region stays free, see `keep_region`; of its starts the first
-    `n_agents` stay, and where it gives fewer the world draws the rest.
+    again. A floor plan keeps one region, see `keep_region`, and its first `n_agents` starts; where
+    it gives fewer, the world draws the rest.
 
     Raises BadInput where the file or the settings allow no such house.
     """
@@ -116,11 +116,11 @@ def draw_houses(house: House, seeds: Sequence[int], n_agents: int) -> Houses:
 
 
 def draw_bank(house: House, count: int, n_agents: int, split: str = "train") -> Houses:
-    """Up to `count` distinct houses, of the first seeds of a split that bring one.
+    """Up to `count` distinct houses, from the first seeds of a split that give a new one.
 
-    Settings that allow fewer (an open house of one size, a floor plan) give those there are: the
-    walk ends when `count` seeds in a row brought nothing new. Where shares count, as in a mixture,
-    the houses are those of the first `count` seeds, equal ones among them.
+    Settings that allow fewer (an open house of one size, a floor plan) give fewer: drawing ends
+    when `count` seeds in a row gave no new house. Where shares count, as in a mixture, the houses
+    are those of the first `count` seeds, duplicates included.
 
     Raises BadInput as `draw_houses` does.
     """
@@ -140,7 +140,7 @@ def draw_bank(house: House, count: int, n_agents: int, split: str = "train") -> 
 
 
 def smallest_first(houses: Houses) -> Houses:
-    """The same houses in the order of their free cells; equal ones keep theirs."""
+    """The same houses sorted by their free cells, smallest first; ties keep their order."""
     order = np.argsort(houses.free_cells, kind="stable")
     return Houses(
         free=houses.free[order],
@@ -153,7 +153,7 @@ def smallest_first(houses: Houses) -> Houses:
 
 
 def keep_region(layout: HouseLayout) -> HouseLayout:
-    """The layout with one connected region free: that of its starts, or without any the largest.
+    """The layout with one free region: that of its starts, or without starts the largest.
 
     Raises BadInput: no free cell, or starts in two regions.
     """

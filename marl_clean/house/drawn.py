@@ -1,4 +1,4 @@
-"""A house drawn in characters, one a cell."""
+"""A house drawn in characters, one per cell."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,15 +21,15 @@ VALID = "valid: # wall, . or space floor, letters furniture, S or digits robots"
 @final
 @dataclass(frozen=True)
 class Drawn(House):
-    """A plan in an ASCII file: every line one row, every character one cell.
+    """A floor plan in an ASCII file: every line one row, every character one cell.
 
     `#` wall; `.` or space floor; a letter furniture, all cells of a letter one piece (a connected
     one; `A` and `a` are two); digits the floor under the robots at the start, in the order of the
     digits; `S` the same without an order, after the digits in reading order. `path` is relative to
-    the working directory, or the name of a shipped plan; None is the shipped apartment.
+    the working directory, or the name of a shipped one; None is the shipped apartment.
 
-    Raises BadInput, with file, line and column: no file, empty, ragged, a character that means
-    nothing, a digit drawn twice, a piece in two parts.
+    Raises BadInput, with file, line and column: no file, empty, ragged, an unknown character, a
+    digit drawn twice, a piece in two parts.
     """
 
     generated: ClassVar[bool] = False
@@ -37,7 +37,7 @@ class Drawn(House):
     path: str | None = None
 
     def layout(self, seed: int = 0, draw: int = 0) -> HouseLayout:
-        """The file's plan, for every seed."""
+        """The layout in the file, for every seed."""
         name = self.path or "apartment"
         file = find_plan(name, SHIPPED, (".txt",))
         grid = _grid(file)
@@ -70,7 +70,7 @@ def _grid(file: Path) -> np.ndarray:
 
 
 def _furniture(file: Path, grid: np.ndarray) -> np.ndarray:
-    """Pieces numbered 1, 2, ... in the order in which reading meets them, int16 [rows, cols]."""
+    """Pieces numbered 1, 2, ... in reading order, int16 [rows, cols]."""
     letters, first = np.unique(grid, return_index=True)
     drawn = [int(letters[index]) for index in np.argsort(first) if letters[index] in FURNITURE]
     furniture = np.zeros(grid.shape, dtype=np.int16)

@@ -27,16 +27,16 @@ SUFFIXES = MAP_SERVER + MOVINGAI + IMAGES
 @final
 @dataclass(frozen=True)
 class FloorPlan(House):
-    """A plan from a file, its kind known by its suffix; without furniture, as scans show none.
+    """A floor plan from a file; the suffix tells its format. Scans show no furniture.
 
-    `.yaml`, `.yml`: map_server, cut into cells of `cell_metres`. `.map`: MovingAI, a character a
-    cell. An image: free from grey 128 on, or where it has one of `free_colours` (red, green,
-    blue, of 255); a pixel a cell, or with `pixel_metres` cut into cells of `cell_metres`. `path`
-    is relative to the working directory, or the name of a shipped plan. `starts` are (row, col)
-    of robots; their region is the house, else the largest one.
+    `.yaml`, `.yml`: map_server, cut into cells of `cell_metres`. `.map`: MovingAI, one character
+    per cell. An image: free from grey 128 on, or where it has one of `free_colours` (red, green,
+    blue, of 255); one pixel per cell, or with `pixel_metres` cut into cells of `cell_metres`.
+    `path` is relative to the working directory, or the name of a shipped floor plan. `starts` are
+    (row, col) of robots; their region is the house, without starts the largest one.
 
-    Raises BadInput: no path, no such file, one that cannot be read, a start on no free cell,
-    `free_colours` of what is no plain image.
+    Raises BadInput: no path, no such file, one that cannot be read, a start that is not on a free
+    cell, `free_colours` for a file that is not a plain image.
     """
 
     generated: ClassVar[bool] = False
@@ -58,7 +58,7 @@ class FloorPlan(House):
                 raise BadInput(f"house.{key}: {metres} is not a length above 0")
 
     def layout(self, seed: int = 0, draw: int = 0) -> HouseLayout:
-        """The file's plan, for every seed."""
+        """The layout in the file, for every seed."""
         path = str(self.path)
         file = find_plan(path, SHIPPED, SUFFIXES)
         cells = self._read(file)
@@ -89,7 +89,7 @@ class FloorPlan(House):
         return read_movingai(file)
 
     def _cell_metres(self, file: Path) -> float | None:
-        """The side of a cell, where the file or the settings tell its scale."""
+        """The side of a cell, where the file or the settings give its scale."""
         suffix = file.suffix.lower()
         scaled = suffix in MAP_SERVER or (suffix in IMAGES and self.pixel_metres is not None)
         return self.cell_metres if scaled else None

@@ -14,23 +14,23 @@ from marl_clean.house.open import Open
 from marl_clean.house.rooms import Rooms
 from marl_clean.settings import LARGEST_SIDE, Kinds, Probability, Range, Ranges
 
-CHOICE = -1  # the draw of a seed that picks its part: none of the draws of a house
+CHOICE = -1  # the draw number that picks a seed's part; draws of houses count from 0
 
 
 @final
 @dataclass(frozen=True)
 class Mixture(House):
-    """Every seed picks a range of sizes and a kind of house, or one of the plans.
+    """Every seed picks a range of sizes and a kind of house, or one of the floor plans.
 
-    With the chance `plans_share` a plan, each as likely as the others; else a range of `sides`
-    and one of `kinds`, each entry of a list as likely as the others, so that what stands in it
-    twice comes twice as often. `rooms` are those of `house=rooms`, `single_room` the same without
-    dividing walls, `open` floors without walls. A plan is a `.txt` drawn in characters, any other
-    file a floor plan; a shipped name is the drawn plan, whose furniture can move. The part depends
-    on the seed alone, so that a house that has to be drawn again stays one of its part.
+    With probability `plans_share` one of `plans`, uniformly; else one of `sides` and one of
+    `kinds`, uniformly over the entries of each list, so that an entry listed twice comes twice as
+    often. `rooms` are those of `house=rooms`, `single_room` the same without dividing walls, `open`
+    floors without walls. A `.txt` among `plans` is read as `house=drawn` reads it, any other file
+    as `house=floorplan` does; a shipped name is the drawn one, whose furniture can move. The part
+    depends on the seed alone, so that a redraw stays within its part.
 
     Paper §3.4 (thousands of different environments, which vary on sizes and room plans).
-    Raises BadInput for a range that is none, or a plan that cannot be used.
+    Raises BadInput for an invalid range, or a floor plan that cannot be used.
     """
 
     generated: ClassVar[bool] = True
@@ -48,7 +48,7 @@ class Mixture(House):
             _read(file)
 
     def parts(self) -> Sequence[House]:
-        """Every plan, and every kind in every range of sizes."""
+        """Every floor plan, and every kind in every range of sizes."""
         return [*self._files, *self._generators]
 
     def layout(self, seed: int, draw: int = 0) -> HouseLayout:

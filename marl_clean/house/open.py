@@ -14,7 +14,7 @@ from marl_clean.settings import Range
 class Open(House):
     """Every cell of rows x cols is free; the world's own ring is the wall. 1xN works.
 
-    Raises BadInput for a range that is none.
+    Raises BadInput for an invalid range.
     """
 
     generated: ClassVar[bool] = True

@@ -10,7 +10,7 @@ from marl_clean.errors import BadInput
 from marl_clean.house.base import House, HouseLayout, between, check_range, stream
 from marl_clean.settings import PositiveInt, Probability, Range
 
-WALL, FREE = -1, 0  # a positive cell is the piece of furniture of that number
+WALL, FREE = -1, 0  # a positive cell holds the number of its piece of furniture
 MOST_PIECES = 2**15 - 1  # what int16 holds
 TRIES_PER_PIECE = 5
 CELLS_BETWEEN_DOORS = 3
@@ -19,7 +19,7 @@ Grid = list[list[int]]
 
 
 class Box(NamedTuple):
-    """Rows top to bottom - 1, columns left to right - 1."""
+    """A rectangle of rows top to bottom - 1 and columns left to right - 1."""
 
     top: int
     left: int
@@ -37,12 +37,12 @@ class Rooms(House):
     """Recursive division: a wall with doors halves a room until the rooms are small enough.
 
     The outermost cells of rows x cols are walls. Doors are one cell wide; no wall ends at a
-    door. Furniture is rectangles. Whatever is built, the free cells stay one region: a wall has
-    a door, and a piece stands only where the free cells around it form one unbroken run, so that
-    every way through the place leads around it as well.
+    door. Furniture is rectangles. The free cells always stay one region: a wall has a door, and a
+    piece stands only where the free cells around it form one unbroken run, so that every path
+    through its place can lead around it.
 
     Paper §3.1 (rectangular shapes and obstacles), §3.4 (thousands of different houses).
-    Raises BadInput for a range that is none, or a house without room between its walls.
+    Raises BadInput for an invalid range, or a house without room between its walls.
     """
 
     generated: ClassVar[bool] = True
@@ -82,7 +82,7 @@ class Rooms(House):
         return HouseLayout(free=cells == FREE, furniture=furniture, starts=None, source=seed)
 
     def _divided(self, grid: Grid, room: Box, numbers: random.Random) -> list[Box]:
-        """The rooms that `room` becomes, in reading order; writes their walls and doors."""
+        """The rooms that `room` becomes, in reading order; writes walls and doors in place."""
         if room.cells <= self.largest_room and numbers.random() >= self.divide:
             return [room]
         top, left, bottom, right = room
@@ -133,7 +133,7 @@ class Rooms(House):
         return doors
 
     def _furnish(self, grid: Grid, room: Box, pieces: int, numbers: random.Random) -> int:
-        """Puts pieces into a room, numbered on from `pieces`; returns the last number."""
+        """Puts pieces into a room in place, numbered from `pieces` + 1; returns the last number."""
         for _ in range(room.cells // between(numbers, *self.cells_per_piece)):
             for _ in range(TRIES_PER_PIECE):
                 piece = self._piece(room, numbers)

@@ -1,4 +1,4 @@
-"""What scripted policies share: they read the robots' map, never the house."""
+"""What planners share: they read the robots' map, never the house."""
 
 from abc import abstractmethod
 from collections.abc import Iterable
@@ -25,7 +25,7 @@ from marl_clean.world.state import State
 
 Grid = Bool[Tensor, "env map height width"]
 Distance = Int[Tensor, "env map height width"]
-Tier = tuple[Grid, Grid]  # (passable, targets) of a search that comes after those before it
+Tier = tuple[Grid, Grid]  # (passable, targets) of one search; tiers are searched in order
 
 
 class Known(NamedTuple):
@@ -40,7 +40,7 @@ class Known(NamedTuple):
 
 
 class Planner(TensorDictModuleBase):
-    """A policy for a `CleaningEnv` that is handed over by `bind`; writes `("agents", "action")`."""
+    """A policy for the `CleaningEnv` given to `bind`; writes `("agents", "action")`."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -50,7 +50,7 @@ class Planner(TensorDictModuleBase):
     @property
     @abstractmethod
     def label(self) -> str:
-        """What the policy is called in tables and `evaluation.json`."""
+        """The policy's name in tables and `evaluation.json`."""
 
     def bind(self, env: CleaningEnv) -> "Planner":
         """Plan for the robots of `env` from now on."""
@@ -81,7 +81,7 @@ class Planner(TensorDictModuleBase):
 
 
 class Track:
-    """Follows robots from call to call; a new episode starts anew, a second look changes nothing.
+    """Follows robots from call to call, anew in each episode; repeated calls change nothing.
 
     `heading` is the direction of each robot's last move, -1 before its first.
     """
@@ -92,23 +92,23 @@ class Track:
         self.heading = torch.full_like(state.position[..., 0], -1)
 
     def follow(self, state: State) -> Bool[Tensor, " env"]:
-        """Take note of where the robots are now; tell which worlds are at the start."""
-        fresh = (state.step == 0) | (state.episode != self.episode)
+        """Update positions and headings; return which worlds are at the start of an episode."""
+        at_start = (state.step == 0) | (state.episode != self.episode)
         row, col = (state.position - self.position).unbind(-1)
         direction = torch.where(row != 0, row + 1, 2 - col)
         one_step = row.abs() + col.abs() == 1
         heading = torch.where(one_step, direction, self.heading)
-        self.heading = torch.where(fresh[:, None], -1, heading)
+        self.heading = torch.where(at_start[:, None], -1, heading)
         self.episode, self.position = state.episode, state.position
-        return fresh
+        return at_start
 
 
 class Sweep(Planner):
     """Steps to the open neighbour that comes first in `order`; stuck: to the nearest open cell.
 
-    Open is what is unknown, or known to be available and not cleaned in this episode, and not
-    occupied now: what other robots cleaned is done, where they stand is an obstacle for the
-    moment. None open anywhere: the nearest dirty cell; none: a random action.
+    Open cells are those not occupied now that are unknown, or known to be available and not
+    cleaned in this episode by any robot. With no open cell anywhere: to the nearest dirty cell;
+    without one: a random action.
     """
 
     @abstractmethod
@@ -124,7 +124,7 @@ class Sweep(Planner):
         return torch.where(is_open.any(-1), onward, self.nearest(known))
 
     def nearest(self, known: Known) -> Int[Tensor, "env agent"]:
-        """Return each robot's way to the nearest open cell, else dirty cell, else anywhere."""
+        """Return each robot's action towards its nearest open cell, else dirty cell, else any."""
         tiers = ((known.passable, known.unvisited), (known.passable, known.dirty))
         distances = nearest_distances(tiers, known.cell)
         return torch.where(
@@ -133,9 +133,10 @@ class Sweep(Planner):
 
 
 def read_maps(state: State, rules: Rules) -> Known:
-    """Read the robots' maps and places, and nothing else of the state."""
-    matrix = slice(rules.margin - 1, 1 - rules.margin or None)  # the house and its ring
-    record = state.record[..., matrix, matrix]
+    """Read the robots' maps and positions, and nothing else of the state."""
+    rows, cols = state.record.shape[-2:]
+    skipped = rules.margin - 1  # the house and its ring remain
+    record = state.record[..., skipped : rows - skipped, skipped : cols - skipped]
     now = (state.step + 1).to(record.dtype).view(-1, 1, 1, 1)
     width = record.shape[3]
     cell = (state.position[..., 0] + 1) * width + state.position[..., 1] + 1
@@ -161,8 +162,8 @@ def nearest_distances(
         idle = ~reachable(distances)
         if not idle.any():
             break
-        found = around(walking_distance(passable, targets), cell, UNREACHABLE)
-        distances = torch.where(idle, found, distances)
+        to_targets = around(walking_distance(passable, targets), cell, UNREACHABLE)
+        distances = torch.where(idle, to_targets, distances)
     return distances
 
 
@@ -176,20 +177,20 @@ def around(
 
 
 def reachable(distances: Int[Tensor, "env agent 4"]) -> Bool[Tensor, "env agent 1"]:
-    """Tell which robots have a way."""
+    """Return which robots can reach a target."""
     return (distances < UNREACHABLE).any(-1, keepdim=True)
 
 
 def first_closest(
     distances: Int[Tensor, "*robots 4"], rank: Int[Tensor, "*robots 4"] | None = None
 ) -> Int[Tensor, "*robots"]:
-    """Return the action that leads closest; of equals the first by `rank`, else in their order."""
+    """Return the action that leads closest; ties go to the lowest `rank` or action."""
     if rank is None:
         rank = torch.arange(4, device=distances.device)
     return (distances.long() * 8 + rank).argmin(-1)
 
 
 def left_hand_rank(heading: Int[Tensor, "env agent"]) -> Int[Tensor, "env agent 4"]:
-    """Return the place of up, right, down and left in the order left, ahead, right, back."""
+    """Return the rank of up, right, down and left in the order left, ahead, right, back."""
     action = torch.arange(4, device=heading.device)
     return (action - heading[..., None] + 1) % 4

@@ -14,8 +14,8 @@ class Boustrophedon(Sweep):
     """Sweeps up and down, column by column to the right, then to the left.
 
     Each robot steps to the first open neighbour in the order up, down, right, left; with none
-    it walks to the nearest open cell and sweeps on from there. The order alone makes the sweep:
-    a cell that was just left is no longer open.
+    it walks to the nearest open cell and sweeps from there. The order alone makes the sweep: a
+    cell that was just left is no longer open.
 
     Source: the motion of BA*, Viet, Dang, Laskar and Chung, "BA*: an online complete coverage
     algorithm for cleaning robots", Applied Intelligence 39 (2013).

@@ -24,25 +24,25 @@ from marl_clean.world.distance import UNREACHABLE, neighbours, walking_distance
 
 @final
 class NearestUnknown(Planner):
-    """Each step anew, each robot walks to the nearest cell that its map does not know.
+    """At every step each robot heads for the nearest cell that its map does not know.
 
     Breadth first over cells not known to be blocked and not occupied now, ties in the order up,
     right, down, left; none reachable: the nearest dirty cell; none: a random action.
 
-    Breadth-first search finds of all shortest ways the first in the order of the actions. So one
-    flood from all targets serves every robot: its action is the first one that leads closer.
+    Breadth-first search finds the first of all shortest paths in the order of the actions, so one
+    flood from all targets serves every robot: it takes the first action that leads closer.
 
     Args:
         assignment: none: each robot for itself. greedy: of all pairs of a robot and a target
             the closest is taken first (ties: the lower robot, then what its search finds first),
-            until every robot has one of its own. hungarian: the least sum of distances.
+            until every robot has its own target. hungarian: the least sum of distances.
             Robots that reach an unknown cell compete for those, the others for the dirty ones;
             a robot for which no target is left goes for its own nearest.
         ties: the order in which a search tries directions: fixed (up, right, down, left);
             straight: the direction of the robot's last move first; rotated: robot i starts the
             fixed order at direction i mod 4.
         wall_prior: unknown cells that are probably wall, see `likely_walls`, come after all
-            other unknown ones, and no way to those leads through them.
+            other unknown cells, and paths to those do not pass through them.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class NearestUnknown(Planner):
         )
 
     def rank(self) -> Int[Tensor, "env agent 4"]:
-        """Return the place of up, right, down and left in each robot's order."""
+        """Return the rank of up, right, down and left in each robot's order."""
         heading = self.track.heading
         action = torch.arange(4, device=heading.device).expand(*heading.shape, 4)
         if self.ties is Ties.STRAIGHT:
@@ -94,15 +94,15 @@ class NearestUnknown(Planner):
             idle = ~reachable(distances)
             if not idle.any():
                 break
-            found = around(walking_distance(passable, targets), cell, UNREACHABLE)
-            competes = (idle & reachable(found))[..., 0]
+            to_targets = around(walking_distance(passable, targets), cell, UNREACHABLE)
+            competes = (idle & reachable(to_targets))[..., 0]
             if self.assignment is Assignment.GREEDY:
-                own = assign_greedily(passable, targets, cell, competes, rank)
-                found = torch.where(reachable(own), own, found)
+                assigned = assign_greedily(passable, targets, cell, competes, rank)
+                to_targets = torch.where(reachable(assigned), assigned, to_targets)
             elif self.assignment is Assignment.HUNGARIAN:
-                own = assign_optimally(passable, targets, cell, competes)
-                found = torch.where(reachable(own), own, found)
-            distances = torch.where(idle, found, distances)
+                assigned = assign_optimally(passable, targets, cell, competes)
+                to_targets = torch.where(reachable(assigned), assigned, to_targets)
+            distances = torch.where(idle, to_targets, distances)
         return distances
 
     def tiers(self, known: Known) -> list[Tier]:
@@ -115,15 +115,15 @@ class NearestUnknown(Planner):
 
 
 def likely_walls(blocked: Grid) -> Grid:
-    """Tell which cells probably continue a wall that is known: in line with its cells.
+    """Return which cells probably continue a known wall: in line with its cells.
 
     The next two cells on both sides of it in its row, or in its column, are known to be blocked.
-    Known cells are told of too; the caller asks of unknown ones.
+    Known cells are included; the caller masks them out.
 
-    Measured on 200 validation houses of 14x14, against none, for 1, 2 and 4 robots: T_100 is
-    0.1, 0.9 and 0.1 steps longer (standard errors 0.7, 0.5, 0.3). What bites more often costs
-    more, for doors are cells in line with a wall: one known on both sides 4.9, 5.3 and 4.0
-    (T_90 of one robot 2.5 less), two in line on one side some 50, 30 and 13.
+    Measured on 200 validation houses of 14x14, against no prior, for 1, 2 and 4 robots: T_100 is
+    0.1, 0.9 and 0.1 steps longer (standard errors 0.7, 0.5, 0.3). Rules that apply more often cost
+    more, as doors are in line with walls: one known cell on each side 4.9, 5.3 and 4.0 (T_90 of
+    one robot 2.5 less), two in line on one side some 50, 30 and 13.
     """
     once = neighbours(blocked, False)
     twice = once & torch.stack([neighbours(side, False)[i] for i, side in enumerate(once)])
@@ -139,8 +139,8 @@ def assign_greedily(
 ) -> Int[Tensor, "env agent 4"]:
     """Return the neighbours' distances to the target that each robot is assigned.
 
-    As many rounds as robots: flood from the targets left, take the closest robot that has none
-    yet, walk its first shortest way to see which target it is, and strike that from all maps.
+    One round per robot: flood from the remaining targets, take the closest robot without one,
+    follow its first shortest path to its target, and strike that target from all maps.
     """
     num_envs, n_agents = cell.shape
     env = torch.arange(num_envs, device=cell.device)
@@ -151,16 +151,18 @@ def assign_greedily(
         beside = around(distance, cell, UNREACHABLE)
         nearest = torch.where(waiting, beside.amin(-1), UNREACHABLE)
         robot = first_minimum(nearest)
-        found = nearest[env, robot] < UNREACHABLE
-        if not found.any():
+        has_target = nearest[env, robot] < UNREACHABLE
+        if not has_target.any():
             break
         which_map = robot if distance.shape[1] > 1 else torch.zeros_like(robot)
-        target = _walk(distance[env, which_map], cell[env, robot], found, rank[env, robot])
-        winner = (torch.arange(n_agents, device=cell.device) == robot[:, None]) & found[:, None]
+        start = cell[env, robot]
+        target = _walk(distance[env, which_map], start, has_target, rank[env, robot])
+        is_robot = torch.arange(n_agents, device=cell.device) == robot[:, None]
+        winner = is_robot & has_target[:, None]
         assigned = torch.where(winner[..., None], beside, assigned)
         waiting = waiting & ~winner
         struck = targets.flatten(2).clone()
-        struck[env[found], :, target[found]] = False
+        struck[env[has_target], :, target[has_target]] = False
         targets = struck.view_as(targets)
     return assigned
 
@@ -177,7 +179,7 @@ def _walk(
     walking: Bool[Tensor, " env"],
     rank: Int[Tensor, "env 4"],
 ) -> Int[Tensor, " env"]:
-    """Follow the first shortest way down to distance 0 and return the cell where it ends."""
+    """Follow the first shortest path down to distance 0 and return the cell where it ends."""
     width = distance.shape[2]
     four = neighbours(distance, UNREACHABLE).flatten(2).permute(1, 2, 0)  # env cell 4
     flat = distance.flatten(1)
@@ -205,8 +207,8 @@ def assign_optimally(
     shape = (num_envs, n_agents, *targets.shape[2:])
     passable, targets = passable.expand(shape), targets.expand(shape)
     start = torch.zeros_like(targets).flatten(2).scatter(2, cell[..., None], True)
-    way = walking_distance(passable, start.view(shape))
-    cost = torch.where(targets & competes[..., None, None], way, UNREACHABLE).flatten(2)
+    distance = walking_distance(passable, start.view(shape))
+    cost = torch.where(targets & competes[..., None, None], distance, UNREACHABLE).flatten(2)
     nearest = cost.topk(min(n_agents, cost.shape[2]), dim=2, largest=False).indices
     candidates = nearest.flatten(1)  # a target twice is harmless: the copy is struck below
     table = cost.gather(2, candidates[:, None].expand(-1, n_agents, -1)).cpu().numpy()
@@ -223,4 +225,4 @@ def assign_optimally(
     return around(walking_distance(passable, goal.view(shape)), cell, UNREACHABLE)
 
 
-_TOO_FAR = 10**7  # of no way: above any sum of real distances
+_TOO_FAR = 10**7  # the cost of an unreachable target: above any sum of real distances

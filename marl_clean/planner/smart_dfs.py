@@ -25,20 +25,20 @@ from marl_clean.world.distance import UNREACHABLE, neighbours, walking_distance
 class SmartDFS(Sweep):
     """Depth first by the left-hand rule, with short ways back and a plan where the house splits.
 
-    Each robot keeps what is done on its left. Stuck, it walks the shortest way over cleaned
+    Each robot keeps what is done on its left. Stuck, it walks the shortest path over cleaned
     cells to the cell that it entered last of those with an open neighbour. Where the open cells
     beside it fall into several components, the one that the current layer surrounds in part
-    comes last; if there is none such, the first by the left-hand rule does. A cell's layer is
-    its distance, diagonals counted as 1, to the nearest cell known to be blocked.
+    comes last; without such a one, the first by the left-hand rule does. A cell's layer is its
+    distance, diagonals counted as 1, to the nearest cell known to be blocked.
 
     With the four neighbours sensed (`env.sensor=touch4`), one robot that starts beside a wall
-    and a house of F cells and E boundary edges without obstacles inside, the tour and the way
+    and a house of F cells and E boundary edges without obstacles inside, the tour and the path
     back to the start take at most F + E/2 - 3 steps.
 
     Several robots each do their own tour; what another has cleaned counts as visited. The bound
     is one robot's: two that meet in a passage may go to and fro there until max_steps. A robot
-    without a way to a cell of its own tour goes as all sweeps do: to the nearest open cell, the
-    nearest dirty one, or anywhere.
+    without a path to a cell of its own tour does as all sweeps do: it goes to the nearest open
+    cell, else to the nearest dirty one, else it acts at random.
 
     Source: Icking, Kamphans, Klein and Langetepe, "Exploring simple grid polygons" (2005);
     arXiv 1012.5240.
@@ -57,15 +57,15 @@ class SmartDFS(Sweep):
         return self
 
     def act(self) -> Int[Tensor, "env agent"]:
-        fresh = self.track.follow(self.env.state)
+        at_start = self.track.follow(self.env.state)
         known = read_maps(self.env.state, self.env.rules)
-        self._note(known, fresh)
+        self._note(known, at_start)
         is_open = around(known.unvisited & known.passable, known.cell, False)
         base, has_base = self._base(known)
         onward = torch.where(is_open, self.order(known), 12).argmin(-1)
         at_base = has_base & (base == known.cell)
         action = torch.where(at_base, onward, self.nearest(known))
-        back = self._way_back(known, base, has_base & ~at_base)
+        back = self._path_back(known, base, has_base & ~at_base)
         return torch.where(reachable(back)[..., 0] & ~at_base, first_closest(back), action)
 
     def order(self, known: Known) -> Int[Tensor, "env agent 4"]:
@@ -74,9 +74,9 @@ class SmartDFS(Sweep):
         left_hand = left_hand_rank(self.direction.gather(2, cell)[..., 0])
         return left_hand + 4 * comes_last(known, left_hand)
 
-    def _note(self, known: Known, fresh: Bool[Tensor, " env"]) -> None:
-        """Write down when and in which direction each robot first entered its cell."""
-        self.entered = torch.where(fresh[:, None, None], 0, self.entered)
+    def _note(self, known: Known, at_start: Bool[Tensor, " env"]) -> None:
+        """Record when and in which direction each robot first entered its cell."""
+        self.entered = torch.where(at_start[:, None, None], 0, self.entered)
         cell = known.cell[..., None]
         walls = around(known.blocked, known.cell, False)
         behind_is_wall = walls.roll(-2, dims=-1).to(torch.int8).argmax(-1)
@@ -95,7 +95,7 @@ class SmartDFS(Sweep):
         entered, base = latest.max(-1)
         return base, entered > 0
 
-    def _way_back(
+    def _path_back(
         self, known: Known, base: Int[Tensor, "env agent"], wanted: Bool[Tensor, "env agent"]
     ) -> Int[Tensor, "env agent 4"]:
         """Return how far the base is from each robot's neighbours, over cleaned cells."""
@@ -108,12 +108,12 @@ class SmartDFS(Sweep):
 
 
 def comes_last(known: Known, left_hand: Int[Tensor, "env agent 4"]) -> Bool[Tensor, "env agent 4"]:
-    """Tell which directions lead to the component of open cells that is to be visited last.
+    """Return which directions lead to the component of open cells that is to be visited last.
 
     The eight cells around a robot, in a circle, show the components: runs of open cells between
     closed ones, wall (layer 0) or cleaned. A run between two cells of the robot's layer or above
-    is surrounded by it, one between two cells below is not, and one between both kinds is in
-    part. With one component nothing is last.
+    is surrounded by it, a run between two cells below is not, and a run between both kinds is so
+    in part. With a single component nothing comes last.
     """
     cell = known.cell
     width = known.blocked.shape[3]
@@ -123,19 +123,19 @@ def comes_last(known: Known, left_hand: Int[Tensor, "env agent 4"]) -> Bool[Tens
     layers = layers_of(known.blocked)
     own_layer, layer = read(layers, cell[..., None]), read(layers, ring)
 
-    way, steps = 2 * torch.arange(4)[:, None], torch.arange(1, 8)
+    direction, steps = 2 * torch.arange(4)[:, None], torch.arange(1, 8)  # places in the circle
     flanks = []
-    for turn in (-steps, steps):  # to the left, and to the right
-        places = ((way + turn) % 8).to(cell.device)
+    for shift in (-steps, steps):  # to the left, and to the right
+        places = ((direction + shift) % 8).to(cell.device)
         first = (~is_open[..., places]).to(torch.int8).argmax(-1, keepdim=True)
         flanks.append(places.expand(*first.shape[:-1], 7).gather(-1, first)[..., 0])
     surrounded = [layer.gather(-1, flank) >= own_layer for flank in flanks]
     component = flanks[0]  # two directions into one run share its left end
-    open_ways = is_open[..., ::2]
-    in_part = open_ways & (surrounded[0] != surrounded[1])
-    first_way = torch.where(open_ways, left_hand, 4).argmin(-1, keepdim=True)
-    first_component = component == component.gather(-1, first_way)
-    is_split = (open_ways & ~first_component).any(-1, keepdim=True)
+    open_directions = is_open[..., ::2]
+    in_part = open_directions & (surrounded[0] != surrounded[1])
+    first_direction = torch.where(open_directions, left_hand, 4).argmin(-1, keepdim=True)
+    first_component = component == component.gather(-1, first_direction)
+    is_split = (open_directions & ~first_component).any(-1, keepdim=True)
     return is_split & torch.where(in_part.any(-1, keepdim=True), in_part, first_component)
 
 

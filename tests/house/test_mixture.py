@@ -119,7 +119,7 @@ def test_houses_of_all_sizes_play_as_each_does_alone() -> None:
         steps.append(step["next", "agents"].clone())
     for index in (0, 5, 11):
         rows, cols = int(mixed.rows[index]), int(mixed.cols[index])
-        one = Houses(
+        house = Houses(
             mixed.free[index : index + 1, :rows, :cols],
             mixed.furniture[index : index + 1, :rows, :cols],
             mixed.rows[index : index + 1],
@@ -127,7 +127,9 @@ def test_houses_of_all_sizes_play_as_each_does_alone() -> None:
             None,
             mixed.sources[index : index + 1],
         )
-        alone = build.make_env(cfg, one, num_envs=1, house_order=HouseOrder.FIXED, first_env=index)
+        alone = build.make_env(
+            cfg, house, num_envs=1, house_order=HouseOrder.FIXED, first_env=index
+        )
         td = alone.reset()
         for action, step in zip(actions, steps, strict=True):
             td["agents", "action"] = action[index : index + 1]

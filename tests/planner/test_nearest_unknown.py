@@ -79,7 +79,7 @@ def test_ties_are_broken_in_the_robots_own_order(
             if place != places[robot]:
                 headings[robot] = reference.neighbours(places[robot]).index(place)
                 places[robot] = place
-            fixed = [(robot + turn) % 4 if ties is Ties.ROTATED else turn for turn in range(4)]
+            fixed = [(robot + shift) % 4 if ties is Ties.ROTATED else shift for shift in range(4)]
             first = headings[robot] if ties is Ties.STRAIGHT else -1
             orders.append(sorted(fixed, key=lambda action: action != first))
         expected = reference.nearest_unknown(world, assignment, orders)
@@ -108,9 +108,9 @@ def test_what_is_probably_wall_comes_after_all_that_is_not(case: Case) -> None:
         plain = reference.nearest_unknown(world)
         for robot, action in enumerate(actions):
             known = world.map_of(robot)
-            found = reference.search(world, robot, closed=likely_walls(known))
-            unknown = [place for place in found if place not in known]
-            wanted = found[unknown[0]][1] if unknown else plain[robot]
+            reached = reference.search(world, robot, closed=likely_walls(known))
+            unknown = [place for place in reached if place not in known]
+            wanted = reached[unknown[0]][1] if unknown else plain[robot]
             assert wanted is None or action == wanted
 
     follow(case, NearestUnknown(wall_prior=True), compare)

@@ -27,12 +27,12 @@ def touching(place: Place) -> list[Place]:
 def has_no_obstacle(free: set[Place], rows: int, cols: int) -> bool:
     """Whether every blocked cell hangs together, also over corners, with what is outside."""
     blocked = {(r, c) for r in range(-1, rows + 1) for c in range(-1, cols + 1)} - free
-    found, queue = {(-1, -1)}, [(-1, -1)]
+    connected, queue = {(-1, -1)}, [(-1, -1)]
     while queue:
-        new = {place for place in touching(queue.pop()) if place in blocked} - found
-        found |= new
+        new = {place for place in touching(queue.pop()) if place in blocked} - connected
+        connected |= new
         queue += new
-    return found == blocked
+    return connected == blocked
 
 
 @st.composite
@@ -109,34 +109,36 @@ class Explorer:
         """Components of open cells around `cell`, each with how many of its flanks surround it."""
         circle = touching(cell)
         closed = [k for k in range(8) if circle[k] in self.visited or self.is_known_wall(circle[k])]
-        found = []
+        runs = []
         for first, second in pairwise([*closed, closed[0] + 8]):
             run = {circle[k % 8] for k in range(first + 1, second)}
             flanks = [circle[first], circle[second % 8]]
             inner = [self.layer(f) if f in self.visited else 0 for f in flanks]
             if run & set(neighbours(cell)):
-                found.append((run, sum(layer >= self.layer(cell) for layer in inner)))
-        return found
+                runs.append((run, sum(layer >= self.layer(cell) for layer in inner)))
+        return runs
 
-    def ways(self, cell: Place, direction: int) -> list[int]:
+    def choices(self, cell: Place, direction: int) -> list[int]:
         """The directions still open, in the order in which they are taken."""
-        order = [(direction + turn) % 4 for turn in (3, 0, 1, 2)]
-        ways = [way for way in order if neighbour(cell, way) in self.free - self.visited]
-        runs = self.runs(cell) if ways else []
+        order = [(direction + shift) % 4 for shift in (3, 0, 1, 2)]
+        choices = [
+            choice for choice in order if neighbour(cell, choice) in self.free - self.visited
+        ]
+        runs = self.runs(cell) if choices else []
         if len(runs) < 2:
-            return ways
+            return choices
         partial = [run for run, flanks in runs if flanks == 1]
-        late = partial or [run for run, _ in runs if neighbour(cell, ways[0]) in run]
-        is_late = {w: any(neighbour(cell, w) in run for run in late) for w in ways}
-        return sorted(ways, key=lambda way: is_late[way])
+        late = partial or [run for run, _ in runs if neighbour(cell, choices[0]) in run]
+        is_late = {w: any(neighbour(cell, w) in run for run in late) for w in choices}
+        return sorted(choices, key=lambda choice: is_late[choice])
 
     def explore(self, cell: Place, direction: int) -> None:
-        while ways := self.ways(cell, direction):
+        while choices := self.choices(cell, direction):
             self.walk(cell)
-            target = neighbour(cell, ways[0])
+            target = neighbour(cell, choices[0])
             self.visited.add(target)
             self.places.append(target)
-            self.explore(target, ways[0])
+            self.explore(target, choices[0])
 
     def walk(self, cell: Place) -> None:
         """A shortest way over visited cells, ties up, right, down, left."""
@@ -151,7 +153,7 @@ class Explorer:
 def test_every_step_is_that_of_the_recursion(drawn) -> None:
     for (free, _, start), places in zip(drawn, tours(drawn), strict=True):
         explorer = Explorer(free, start)
-        behind = [neighbour(start, way + 2 & 3) in free for way in range(4)]
+        behind = [neighbour(start, direction + 2 & 3) in free for direction in range(4)]
         explorer.explore(start, behind.index(False))
         assert places == explorer.places
 

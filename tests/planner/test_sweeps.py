@@ -20,7 +20,7 @@ from tests.world.strategies import Case, cases
 UP, RIGHT, DOWN, LEFT = range(4)
 ORDERS: dict[type[Sweep], Callable[[int], list[int]]] = {
     Boustrophedon: lambda heading: [UP, DOWN, RIGHT, LEFT],
-    Spiral: lambda heading: [(heading + turn) % 4 for turn in (3, 0, 1, 2)],
+    Spiral: lambda heading: [(heading + shift) % 4 for shift in (3, 0, 1, 2)],
 }
 
 
@@ -33,18 +33,18 @@ def is_open(world: reference.World, robot: int, place: Place) -> bool:
 def sweep(world: reference.World, robot: int, order: list[int]) -> int | None:
     """The action that the rules name, None where any will do."""
     here = world.positions[robot]
-    found = search(world, robot)
+    reached = search(world, robot)
     beside = neighbours(here)
     for action in order:
-        if beside[action] in found and is_open(world, robot, beside[action]):
+        if beside[action] in reached and is_open(world, robot, beside[action]):
             return action
-    known, others = world.map_of(robot), [place for place in found if place != here]
-    for place in others:
+    known, elsewhere = world.map_of(robot), [place for place in reached if place != here]
+    for place in elsewhere:
         if is_open(world, robot, place):
-            return found[place][1]
-    for place in others:
+            return reached[place][1]
+    for place in elsewhere:
         if value(known.get(place), world.steps, world.settings) == DIRTY:
-            return found[place][1]
+            return reached[place][1]
     return None
 
 

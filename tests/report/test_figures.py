@@ -44,9 +44,9 @@ def test_a_plan_is_drawn_without_the_padding_of_its_stack(rows, cols):
     colours = plan_colours(Houses(free, furniture, *sizes, starts=None, sources=[1]), 0)
     assert colours.shape == (rows, cols, 3)
     assert tuple(colours[0, 2]) == viewer.WALL and tuple(colours[2, 1]) == viewer.FURNITURE
-    others = np.ones((rows, cols), dtype=bool)
-    others[0, 2] = others[2, 1] = False
-    assert (colours[others] == viewer.DIRTY).all()
+    is_floor = np.ones((rows, cols), dtype=bool)
+    is_floor[0, 2] = is_floor[2, 1] = False
+    assert (colours[is_floor] == viewer.DIRTY).all()
 
 
 def test_memory_is_in_the_papers_greys():

@@ -73,7 +73,7 @@ def test_a_large_plan_is_an_image_and_not_a_square_for_each_cell(tmp_path: Path)
 
 
 def test_figure_houses_of_one_plan_is_that_plan_and_of_many_a_sheet() -> None:
-    one = draw_figure("houses", compose_config(["house=floorplan", "house.path=apartment"]))
-    (axes,) = one.axes
+    figure = draw_figure("houses", compose_config(["house=floorplan", "house.path=apartment"]))
+    (axes,) = figure.axes
     assert axes.get_title().startswith("apartment\n")
     assert len(draw_figure("houses", compose_config(["house=open"])).axes) == 32

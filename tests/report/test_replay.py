@@ -12,10 +12,10 @@ from marl_clean.report.replay import PANEL_PIXELS, drawn, write_gif
 
 def moments(count: int, rows: int = 3, cols: int = 7) -> list[Scene]:
     """A robot that walks the house row by row, cleaning."""
-    found = []
+    frames = []
     for step in range(count):
         cleaned = (np.arange(rows * cols) <= step).reshape(rows, cols)
-        found.append(
+        frames.append(
             Scene(
                 free=np.ones((rows, cols), dtype=bool),
                 furniture=np.zeros((rows, cols), dtype=np.int16),
@@ -26,7 +26,7 @@ def moments(count: int, rows: int = 3, cols: int = 7) -> list[Scene]:
                 coverage=float(cleaned.mean()),
             )
         )
-    return found
+    return frames
 
 
 def frames_of(path) -> list[np.ndarray]:

@@ -59,9 +59,9 @@ def saved(tmp_path: Path, *frames: int, kind: str = "state") -> Checkpoints:
 def test_a_tree_comes_back_as_it_was(tmp_path):
     checkpoints = Checkpoints(tmp_path)
     checkpoints.save("state", 12, TREE, {"T_100": 91.5})
-    found = checkpoints.newest("state")
-    assert (found.frames, found.notes) == (12, {"T_100": 91.5})
-    assert_equal(found.tree, TREE)
+    loaded = checkpoints.newest("state")
+    assert (loaded.frames, loaded.notes) == (12, {"T_100": 91.5})
+    assert_equal(loaded.tree, TREE)
 
 
 def test_memory_format_comes_back(tmp_path):
@@ -75,8 +75,8 @@ def test_memory_format_comes_back(tmp_path):
 def test_the_tensors_are_a_plain_safetensors_file(tmp_path):
     tree = {"encoder.weight": torch.randn(3, 5), "half": torch.randn(2).bfloat16()}
     Checkpoints(tmp_path).save("best", 1, tree, {})
-    found = load_file(tmp_path / "best-000000000001" / "tensors.safetensors")
-    assert_equal(dict(sorted(found.items())), dict(sorted(tree.items())))
+    loaded = load_file(tmp_path / "best-000000000001" / "tensors.safetensors")
+    assert_equal(dict(sorted(loaded.items())), dict(sorted(tree.items())))
 
 
 def test_older_ones_are_pruned_kind_by_kind(tmp_path):
@@ -96,27 +96,27 @@ def test_without_any_there_is_none(tmp_path):
     assert Checkpoints(tmp_path / "absent").newest("state") is None
 
 
-def damage(path: Path, way: str, draw: random.Random) -> None:
+def damage(path: Path, kind: str, draw: random.Random) -> None:
     file = draw.choice(sorted(path.iterdir()))
     content = bytearray(file.read_bytes())
-    if way == "truncate":
+    if kind == "truncate":
         file.write_bytes(content[: draw.randrange(len(content))])
-    elif way == "flip":
+    elif kind == "flip":
         content[draw.randrange(len(content))] ^= 1 << draw.randrange(8)
         file.write_bytes(content)
     else:
         file.unlink()
 
 
-@pytest.mark.parametrize(("way", "trials"), [("truncate", 100), ("flip", 100), ("delete", 20)])
-def test_damage_is_seen_and_the_one_before_is_taken(tmp_path, caplog, way, trials):
+@pytest.mark.parametrize(("kind", "trials"), [("truncate", 100), ("flip", 100), ("delete", 20)])
+def test_damage_is_seen_and_the_one_before_is_taken(tmp_path, caplog, kind, trials):
     checkpoints = saved(tmp_path, 1, 2)
     newest = checkpoints.folder / "state-000000000002"
     whole = tmp_path / "whole"
     shutil.copytree(newest, whole)
     draw = random.Random(0)
     for _ in range(trials):
-        damage(newest, way, draw)
+        damage(newest, kind, draw)
         caplog.clear()
         assert checkpoints.newest("state").frames == 1
         assert len(caplog.records) == 1
