@@ -57,7 +57,7 @@ class CarriedCollector(Collector):
         return self._carrier
 
     def restore(self, state: TensorDictBase) -> None:
-        self._carrier = state
+        self._carrier.update(state)  # what states of earlier versions lack is as after a reset
 
     def begin_anew(self) -> None:
         """Leave the episodes that are being played, and begin others."""

@@ -202,3 +202,36 @@ def test_a_compiled_env_plays_what_a_plain_one_plays(run_script):
 @pytest.mark.slow
 def test_a_compiled_env_writes_into_its_maps(run_script):
     run_script("tests.env.in_place")
+
+
+@pytest.mark.parametrize("overrides", [[], ["reward=team"], ["agent=qmix", "reward=team"]])
+def test_what_a_robot_is_paid_is_the_only_reward(overrides: list[str]) -> None:
+    env = small_env(*overrides)
+    assert env.reward_keys == [keys.REWARD] and env.reward_key == keys.REWARD
+    first = env.reset()
+    for key in (keys.OWN_REWARD, keys.INFO_STEP, keys.INFO_CLEANING, keys.INFO_DISCOVERY):
+        assert key in env.observation_keys
+        assert (first[key] == 0).all() and first[key].shape == (6, 3, 1)
+
+
+def test_a_bare_env_pays_what_a_robot_earns() -> None:
+    env = CleaningEnv(HOUSES, n_agents=3, num_envs=4)
+    check_env_specs(env, check_dtype=True)
+    after = env.step(env.rand_action(env.reset()))["next"]
+    assert torch.equal(after[keys.REWARD], after[keys.OWN_REWARD])
+    terms = (after[key] for key in (keys.INFO_STEP, keys.INFO_CLEANING, keys.INFO_DISCOVERY))
+    torch.testing.assert_close(sum(terms), after[keys.OWN_REWARD])
+
+
+@pytest.mark.parametrize("wrong", [-1, 4])
+def test_an_action_that_does_not_exist_is_refused_before_anything_moves(wrong: int) -> None:
+    env = small_env()
+    tensordict = env.reset()
+    before = env.base_env.state_dict()
+    for step in (env.step, env.step_and_maybe_reset):
+        tensordict[keys.ACTION] = torch.zeros(6, 3, dtype=torch.int64)
+        tensordict[keys.ACTION][2, 1] = wrong
+        with pytest.raises(BadInput, match=f"^action {wrong}: valid: 0 up, 1 right, 2 down, 3"):
+            step(tensordict)
+    for name, value in env.base_env.state_dict().items():
+        assert torch.equal(value, before[name]), name

@@ -8,6 +8,7 @@ from marl_clean.config.compose import compose_config
 from marl_clean.config.schema import instantiate
 from marl_clean.logger.csv import Csv
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints
+from marl_clean.trainer._collecting import CarriedCollector
 from marl_clean.trainer.off_policy import OffPolicy
 
 SETTINGS = [
@@ -76,3 +77,20 @@ def test_a_killed_run_ends_as_the_uninterrupted_one(tmp_path, overrides):
         Checkpoints(tmp_path / name / FOLDER).newest("final").tree for name in ("whole", "killed")
     )
     assert all(torch.equal(weight, killed[name]) for name, weight in whole.items())
+
+
+def test_a_step_carried_by_an_earlier_version_goes_on() -> None:
+    """It held nothing of what robots had earned, which was no observation then."""
+    first, other = (
+        CarriedCollector(
+            build.make_env(compose_config(SETTINGS)), frames_per_batch=64, total_frames=-1
+        )
+        for _ in range(2)
+    )
+    next(iter(first))
+    state = first.state().exclude(keys.OWN_REWARD, (keys.AGENTS, "info"))
+    other.restore(state.clone())
+    for key in state.keys(True, True):
+        assert torch.equal(other.state()[key], state[key]), key
+    block = next(iter(other))
+    assert block[keys.OBSERVATION].isfinite().all() and block[keys.OWN_REWARD].any()
