@@ -1,7 +1,7 @@
 """The off-policy loop: collect, remember, learn; and now and then log, evaluate, save."""
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, final
 
 import torch
 from tensordict import TensorDictBase
@@ -24,6 +24,7 @@ from marl_clean.trainer._tally import check_finite
 from marl_clean.trainer.base import Evaluate, Trainer, TrainingLoop
 
 
+@final
 class OffPolicy(Trainer):
     """Train an agent from replayed experience, in a budget of frames.
 

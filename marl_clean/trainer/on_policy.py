@@ -1,7 +1,7 @@
 """The on-policy loop: collect a block, learn from it a few times, forget it."""
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, final
 
 import torch
 from tensordict import TensorDictBase
@@ -16,6 +16,7 @@ from marl_clean.trainer._tally import check_finite
 from marl_clean.trainer.base import Evaluate, Trainer, TrainingLoop
 
 
+@final
 class OnPolicy(Trainer):
     """Train an agent from what it has just played, in a budget of frames.
 
