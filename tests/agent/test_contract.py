@@ -67,7 +67,7 @@ def test_the_contract_with_frames_in_a_row(learner: str, memory: str) -> None:
 
 class Frozen(Iql):
     def update(self, batch):
-        return {"loss": self._loss(self._frames_to_learn(batch))["loss"].detach()}
+        return {"loss": self.loss(self._frames_to_learn(batch)).detach()}
 
 
 class Forgetful(Iql):
