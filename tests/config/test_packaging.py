@@ -11,8 +11,8 @@ import pytest
 from hatchling.build import build_editable, build_wheel
 
 ROOT = Path(__file__).parents[2]
-WHERE = "from marl_clean.config.compose import compose_config, conf_folder; compose_config(); "
-WHERE += "print(conf_folder())"
+WHERE = "from marl_clean.config.compose import compose_config; compose_config(); "
+WHERE += "from marl_clean.config.levels import conf_folder; print(conf_folder())"
 
 
 def where_conf_is(site: Path) -> Path:
