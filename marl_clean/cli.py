@@ -140,13 +140,14 @@ def doctor(arguments: argparse.Namespace) -> int:
     """what is installed, what is missing, how to mend it"""
     from marl_clean.commands.doctor import findings
 
-    found = list(findings())
-    width = max(len(finding.what) for finding in found)
-    _write(
-        f"{finding.what:{width}}  {finding.state}" + (f"  -> {finding.mend}" * bool(finding.mend))
-        for finding in found
-    )
-    return int(any(finding.mend for finding in found))
+    report = list(findings())
+    width = max(len(finding.name) for finding in report)
+    lines = []
+    for finding in report:
+        remedy = f"  -> {finding.mend}" if finding.mend else ""
+        lines.append(f"{finding.name:{width}}  {finding.state}{remedy}")
+    _write(lines)
+    return int(any(finding.mend for finding in report))
 
 
 COMMANDS = {

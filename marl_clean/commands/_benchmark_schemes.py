@@ -1,4 +1,4 @@
-"""What talking costs in time: schemes and channels against silence, and growth with robots."""
+"""What communication costs in time: schemes and channels against none, growth with robots."""
 
 import math
 import statistics
@@ -21,7 +21,7 @@ N_AGENTS = 4
 NUM_ENVS = 32
 FRAMES = 128  # learnt from in one update, as by default
 TEAMS = (2, 4, 8, 16, 32, 64)
-WIDTH = 128  # of the features that schemes are given
+WIDTH = 128  # of the features that schemes receive
 WORLDS = 8  # of those teams
 
 
@@ -48,7 +48,7 @@ def costs_of_channels() -> list[Cost]:
 
 
 def timed(cases: dict[str, list[str]]) -> list[Cost]:
-    """Time updates and steps of all cases in turns, so that a busy machine slows all alike."""
+    """Time updates and steps of all cases interleaved, so that a busy machine slows all alike."""
     parts = {name: prepared(settings) for name, settings in cases.items()}
     updates: dict[str, list[float]] = {name: [] for name in cases}
     steps: dict[str, list[float]] = {name: [] for name in cases}
@@ -77,9 +77,9 @@ def prepared(settings: list[str]) -> tuple[Callable[[], None], Callable[[], None
     env = build.ready_for(agent, env)
     policy = agent.policy()
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        played = env.rollout(8, policy, break_when_any_done=False)
+        rollout = env.rollout(8, policy, break_when_any_done=False)
         carried = env.reset()
-    batch = learnable(agent, played)
+    batch = learnable(agent, rollout)
 
     def step() -> None:
         nonlocal carried
@@ -92,9 +92,9 @@ def prepared(settings: list[str]) -> tuple[Callable[[], None], Callable[[], None
     return update, step, agent
 
 
-def learnable(agent: Agent, played: TensorDictBase) -> TensorDictBase:
+def learnable(agent: Agent, rollout: TensorDictBase) -> TensorDictBase:
     """Return as many frames as an update has, in rows if the agent learns from rows."""
-    frames = played.select(*agent.learns_from)
+    frames = rollout.select(*agent.learns_from)
     frames[keys.STEPS_TO_NEXT_OBS] = torch.ones(frames.batch_size, dtype=torch.int64)
     rows = frames[: FRAMES // frames.shape[1]]
     return (rows if agent.unrolls else rows.flatten()).contiguous()
@@ -112,24 +112,24 @@ def growth_of_schemes() -> dict[str, dict[int, float]]:
         live = (~torch.eye(n_agents, dtype=torch.bool)).expand(WORLDS, -1, -1)
         robot = torch.arange(n_agents)
         rank = ((robot - robot[:, None]) % n_agents).expand(WORLDS, -1, -1)
-        found: dict[str, list[float]] = {level: [] for level in schemes}
+        samples: dict[str, list[float]] = {level: [] for level in schemes}
         with torch.no_grad():
             for _ in range(REPEATS + 1):
                 for level, comm in schemes.items():
-                    found[level].append(milliseconds(partial(comm, feature, live, rank)))
-        for level, times in found.items():
+                    samples[level].append(milliseconds(partial(comm, feature, live, rank)))
+        for level, times in samples.items():
             taken[level][n_agents] = statistics.median(times[1:])
     return taken
 
 
 def exponent(times: dict[int, float]) -> float:
-    """By which power of the number of robots the time grew from the last but two to the last."""
+    """The exponent of the time's growth with the number of robots, over the last three sizes."""
     *_, before, _, last = times
     return math.log(times[last] / times[before]) / math.log(last / before)
 
 
 def milliseconds(work: Callable[[], object]) -> float:
-    """Return how long it takes once."""
+    """Return how long one call takes."""
     began = time.perf_counter()
     work()
     return 1e3 * (time.perf_counter() - began)
@@ -137,5 +137,6 @@ def milliseconds(work: Callable[[], object]) -> float:
 
 def ratios(costs: Iterable[Cost]) -> list[tuple[Cost, float, float]]:
     """Each cost with its update and step as multiples of the first's."""
-    first, *others = costs
-    return [(one, one.update / first.update, one.step / first.step) for one in (first, *others)]
+    costs = list(costs)
+    first = costs[0]
+    return [(cost, cost.update / first.update, cost.step / first.step) for cost in costs]

@@ -35,21 +35,21 @@ from marl_clean.world.sensing import crop
 
 REPEATS = 15
 STEPS = 200
-ACTION_SETS = 32  # drawn before the clock starts, played round and round
+ACTION_SETS = 32  # drawn before the clock starts, used in a cycle
 
-Play = Callable[[int], None]
-"""Plays a number of steps of a whole batch."""
+Stepper = Callable[[int], None]
+"""Runs a number of steps of a whole batch."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One thing timed.
+    """One timed case.
 
     Attributes:
-        what: in words.
+        what: the case in words.
         robot_steps_per_second: the median of the repeats; null where it could not be timed.
         milliseconds_per_step: of the whole batch.
-        ratio, wanted: this row's figure against the one it is compared with, and the bound.
+        ratio, wanted: this row's figure divided by the one it is compared with, and the bound.
     """
 
     what: str
@@ -100,14 +100,14 @@ def table_of_costs(costs: list[Cost]) -> Table:
     table = Table(title=f"{N_AGENTS} robots; times against {costs[0].what}, wanted <= 1.50")
     for title in ("what", "parameters", "update, ms", "ratio", "step, ms", "ratio"):
         table.add_column(title, justify="left" if title == "what" else "right", no_wrap=True)
-    for one, update, step in ratios(costs):
-        cells = (f"{one.update:.2f}", f"{update:.2f}", f"{one.step:.2f}", f"{step:.2f}")
-        table.add_row(one.what, f"{one.parameters:,}", *cells)
+    for cost, update, step in ratios(costs):
+        cells = (f"{cost.update:.2f}", f"{update:.2f}", f"{cost.step:.2f}", f"{step:.2f}")
+        table.add_row(cost.what, f"{cost.parameters:,}", *cells)
     return table
 
 
 def table_of_growth(growth: dict[str, dict[int, float]]) -> Table:
-    """Milliseconds by the number of robots, and the power by which they grow, wanted <= 2."""
+    """Milliseconds by the number of robots, and the exponent of their growth, wanted <= 2."""
     table = Table(title=f"forward pass of {WORLDS} worlds, everybody in contact, ms; wanted: n^2")
     teams = next(iter(growth.values()))
     for title in ("scheme", *(f"n={n}" for n in teams), "grows as"):
@@ -123,9 +123,9 @@ def against_jumanji(cfg: DictConfig) -> list[Row]:
     num_envs, n_agents, side = 1024, 3, 20
     sizes = (num_envs, n_agents, side)
     steps, case = num_envs * n_agents, f"{num_envs} worlds x {n_agents}, {side}x{side}"
-    plays = [world_play(env_of(cfg, *sizes)), env_play(env_of(cfg, *sizes))]
+    steppers = [world_stepper(case_env(cfg, *sizes)), env_stepper(case_env(cfg, *sizes))]
     jumanji = cleaner(*sizes)
-    world, whole, *relative = in_turns([*plays, jumanji] if jumanji else plays)
+    world, whole, *relative = interleaved([*steppers, jumanji] if jumanji else steppers)
     rows = [Row("Jumanji: not installed", None, None)]
     if relative:
         seconds = statistics.median(relative[0])
@@ -154,7 +154,7 @@ def over_robots(cfg: DictConfig) -> list[Row]:
 
 def whole_envs(cfg: DictConfig, cases: dict[str, tuple[int, int, int]]) -> tuple[list[Row], float]:
     """Time envs of (worlds, robots, side), and return how much more a step of the last costs."""
-    taken = in_turns([env_play(env_of(cfg, *sizes)) for sizes in cases.values()])
+    taken = interleaved([env_stepper(case_env(cfg, *sizes)) for sizes in cases.values()])
     rows = []
     for (case, (num_envs, n_agents, _)), times in zip(cases.items(), taken, strict=True):
         seconds = statistics.median(times)
@@ -162,7 +162,7 @@ def whole_envs(cfg: DictConfig, cases: dict[str, tuple[int, int, int]]) -> tuple
     return rows, median_ratio(taken[-1], taken[0])
 
 
-def env_of(cfg: DictConfig, num_envs: int, n_agents: int, side: int) -> TransformedEnv:
+def case_env(cfg: DictConfig, num_envs: int, n_agents: int, side: int) -> TransformedEnv:
     """Build the compiled env of `cfg`'s rooms in houses of rooms, side x side."""
     case = cfg.copy()
     case.house = compose_config(
@@ -180,38 +180,38 @@ def actions(env: TransformedEnv) -> list[torch.Tensor]:
     return [draw.to(env.device) for draw in draws]
 
 
-def world_play(env: TransformedEnv) -> Play:
-    """Return what plays a step and a view by the world's functions alone."""
+def world_stepper(env: TransformedEnv) -> Stepper:
+    """Return a function that computes steps and views by the world's functions alone."""
     env.reset()
     base, drawn = env.base_env, actions(env)
     step, look = base.compiled(advance_), base.compiled(crop, wide=True)
     view_size = env.transform[1].view_size
 
-    def play(count: int) -> None:
+    def run(count: int) -> None:
         state = base.state
         for index in range(count):
             step(state, drawn[index % ACTION_SETS], base.moves, base.rules)
             look(state.record, state.position, state.step, view_size, base.rules)
         wait_for(env.device)
 
-    return play
+    return run
 
 
-def env_play(env: TransformedEnv) -> Play:
-    """Return what plays `step_and_maybe_reset` while, at every step, some worlds start anew."""
+def env_stepper(env: TransformedEnv) -> Stepper:
+    """Return a function that calls `step_and_maybe_reset`; at every step some worlds reset."""
     carried = env.reset()
     base, drawn = env.base_env, actions(env)
     ages = torch.arange(base.num_envs, device=env.device) % 100
     base.state.last_progress = base.state.step - ages  # so that they do not end all at once
 
-    def play(count: int) -> None:
+    def run(count: int) -> None:
         nonlocal carried
         for index in range(count):
             carried[keys.ACTION] = drawn[index % ACTION_SETS]
             carried = env.step_and_maybe_reset(carried)[1]
         wait_for(env.device)
 
-    return play
+    return run
 
 
 def wait_for(device: torch.device) -> None:
@@ -219,29 +219,29 @@ def wait_for(device: torch.device) -> None:
         torch.cuda.synchronize(device)
 
 
-def in_turns(plays: Sequence[Play]) -> list[list[float]]:
-    """Return the seconds a step of every repeat of each, played in turns.
+def interleaved(steppers: Sequence[Stepper]) -> list[list[float]]:
+    """Return the seconds per step of every repeat of each, their repeats interleaved.
 
-    A busy machine swings by more within a minute than what is compared; so all swing alike.
+    The speed of a busy machine varies by more than what is compared; so it varies for all alike.
     """
-    taken: list[list[float]] = [[] for _ in plays]
-    for play in plays:
-        play(STEPS)
+    taken: list[list[float]] = [[] for _ in steppers]
+    for run in steppers:
+        run(STEPS)
     for _ in range(REPEATS):
-        for play, times in zip(plays, taken, strict=True):
+        for run, times in zip(steppers, taken, strict=True):
             began = time.perf_counter()
-            play(STEPS)
+            run(STEPS)
             times.append((time.perf_counter() - began) / STEPS)
     return taken
 
 
-def median_ratio(of: Sequence[float], to: Sequence[float]) -> float:
-    """Return the median of the ratios of what was timed side by side."""
-    return statistics.median(one / other for one, other in zip(of, to, strict=True))
+def median_ratio(times: Sequence[float], baseline: Sequence[float]) -> float:
+    """Return the median ratio of times that were measured side by side."""
+    return statistics.median(a / b for a, b in zip(times, baseline, strict=True))
 
 
 def machine() -> str:
-    """Return what the figures were taken on."""
+    """Return the machine that the figures are from."""
     cpu = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.is_file():

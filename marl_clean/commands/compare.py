@@ -20,8 +20,8 @@ from marl_clean.evaluation.table import YARDSTICK, make_table, output
 from marl_clean.storage import files
 from marl_clean.storage.manifest import count_weights
 
-BESIDE_THE_POINT = (*OUTSIDE_THE_HASH, "seed")
-OF_THE_MACHINE = ("num_envs", "compile")  # of the env: how it is played, not what
+IGNORED_KEYS = (*OUTSIDE_THE_HASH, "seed")  # runs of one setting may differ in these
+SPEED_KEYS = ("num_envs", "compile")  # of the env: they change its speed, not its rules
 log = logging.getLogger(__name__)
 
 Config = Mapping[str, Any]
@@ -38,21 +38,21 @@ class Setting:
 
 @dataclass
 class World:
-    """What was played in one world on the same houses: settings of learners, and planners."""
+    """What was measured in one world on the same houses: settings of learners, and planners."""
 
     settings: dict[str, Setting] = field(default_factory=dict)
-    others: dict[str, Entry] = field(default_factory=dict)
+    planners: dict[str, Entry] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Compared:
-    """One world's comparison: what is shown of it.
+class WorldComparison:
+    """One world's comparison.
 
     Attributes:
         pools: each setting's entries, its seeds pooled, by its label.
         planner: the yardstick's entry.
         entries: of all policies, the planners last.
-        reference: the row that others are held against; None where there is but one.
+        reference: the row that others are compared with; None where there is but one row.
         differences: of each row to it, measure by measure.
     """
 
@@ -74,10 +74,10 @@ def main(
 
     The first has means, the second each setting's paired difference to one of them: `against`,
     or the first that is silent (`comm=none`), or the first. Intervals over several seeds
-    resample runs and then houses. A folder without a finished run is named in one line and left
+    resample runs and then houses. A folder without a finished run is logged in one line and left
     out. `out`: where the entries are written as json; the differences are written beside it, as
     `<out>_paired.json`. `figure`: draw runs/figures/compare*.png and .svg.
-    Raises BadInput when no run is left, or none is called `against`.
+    Raises BadInput when no run is left, or no row is labelled `against`.
     """
     console = console or output()
     worlds = compared(runs, against)
@@ -96,10 +96,10 @@ def main(
     return written
 
 
-def compared(runs: Sequence[str], against: str | None = None) -> list[Compared]:
-    """Pool the seeds of finished runs, and hold each setting against one, world by world.
+def compared(runs: Sequence[str], against: str | None = None) -> list[WorldComparison]:
+    """Pool the seeds of finished runs, and compare each setting with a reference, world by world.
 
-    Raises BadInput when no run is left, or none is called `against`.
+    Raises BadInput when no run is left, or no row is labelled `against`.
     """
     worlds = gather(runs)
     if not worlds:
@@ -107,23 +107,23 @@ def compared(runs: Sequence[str], against: str | None = None) -> list[Compared]:
     return [_compared(world, against) for world in worlds]
 
 
-def _compared(world: World, against: str | None) -> Compared:
+def _compared(world: World, against: str | None) -> WorldComparison:
     rows = rows_of(world)
     pools = {row.label: pooled(list(row.runs.values()), row.label) for row in rows}
-    entries = [*pools.values(), *world.others.values()]
+    entries = [*pools.values(), *world.planners.values()]
     entries.sort(key=lambda entry: entry["epsilon"] == 0)  # the planners last
-    planner = world.others.get(YARDSTICK)
+    planner = world.planners.get(YARDSTICK)
     if len(rows) < 2 and against is None:
-        return Compared(pools, planner, entries, None, [])
+        return WorldComparison(pools, planner, entries, None, [])
     reference = reference_of(world, rows, against)
     if alone := without_twin(rows, reference):
         listed = "; ".join(alone)
         log.warning("seeds without a twin beside %s: %s", reference.label, listed)
-    return Compared(pools, planner, entries, reference, differences(rows, reference))
+    return WorldComparison(pools, planner, entries, reference, differences(rows, reference))
 
 
 def gather(runs: Sequence[str]) -> list[World]:
-    """What the finished runs among `runs` measured, world by world; the others are named."""
+    """What the finished runs among `runs` measured, world by world; other folders are logged."""
     worlds: dict[str, World] = {}
     seen: set[Path] = set()
     for run in runs:
@@ -141,23 +141,23 @@ def gather(runs: Sequence[str]) -> list[World]:
             continue
         seen.add(folder.resolve())
         for entry in entries:
-            world = worlds.setdefault(what_was_played(entry, config["env"]), World())
-            if entry["policy"] != config["name"]:  # in one world a planner plays alike for all
-                world.others[entry["policy"]] = entry
+            world = worlds.setdefault(world_key(entry, config["env"]), World())
+            if entry["policy"] != config["name"]:  # a planner acts alike in one world
+                world.planners[entry["policy"]] = entry
                 continue
-            setting = world.settings.setdefault(_apart_from_the_seed(config), Setting(config))
+            setting = world.settings.setdefault(_setting_key(config), Setting(config))
             setting.runs[config["seed"]] = entry
             setting.parameters = count_weights(folder)
     return list(worlds.values())
 
 
 def rows_of(world: World) -> list[Row]:
-    """A row a setting, called after what sets it apart from the others."""
+    """One row per setting, labelled by what sets it apart from the others."""
     settings = list(world.settings.values())
     if len(settings) == 1:
-        names = [_common_start([entry["policy"] for entry in settings[0].runs.values()])]
+        names = [_common_prefix([entry["policy"] for entry in settings[0].runs.values()])]
     else:
-        names = labels([setting.config for setting in settings], BESIDE_THE_POINT)
+        names = labels([setting.config for setting in settings], IGNORED_KEYS)
     return [
         Row(name, dict(setting.runs), setting.parameters)
         for name, setting in zip(names, settings, strict=True)
@@ -165,13 +165,13 @@ def rows_of(world: World) -> list[Row]:
 
 
 def reference_of(world: World, rows: Sequence[Row], against: str | None) -> Row:
-    """The row that the others are held against: the one asked for, a silent one, or the first.
+    """The row that the others are compared with: `against`, else a silent row, else the first.
 
-    Raises BadInput where none is called so.
+    Raises BadInput where no row is labelled `against`.
     """
-    others = [Row(name, {None: entry}) for name, entry in world.others.items()]
+    planners = [Row(name, {None: entry}) for name, entry in world.planners.items()]
     if against is not None:
-        by_label = {row.label: row for row in (*rows, *others)}
+        by_label = {row.label: row for row in (*rows, *planners)}
         if against not in by_label:
             raise BadInput(f"--against {against}: no such row; {choices(against, by_label)}")
         return by_label[against]
@@ -180,13 +180,13 @@ def reference_of(world: World, rows: Sequence[Row], against: str | None) -> Row:
         for row, setting in zip(rows, world.settings.values(), strict=True)
         if level_of(setting.config["comm"]) == "none"
     ]
-    return [*silent, *rows][0]
+    return silent[0] if silent else rows[0]
 
 
 def draw(
     pools: Mapping[str, Entry],
     planner: Entry | None,
-    found: Sequence[Mapping[str, Any]],
+    differences: Sequence[Mapping[str, Any]],
     number: int,
     console: Console,
 ) -> None:
@@ -196,16 +196,17 @@ def draw(
 
     first = next(iter(pools.values()))
     title = f"{first['house_set']}, {first['n_agents']} robots; 95 % intervals"
-    figure = draw_comparison(title, {name: (e, planner) for name, e in pools.items()}, found)
+    rows = {name: (entry, planner) for name, entry in pools.items()}
+    figure = draw_comparison(title, rows, differences)
     name = "compare" if number == 1 else f"compare_{number}"
     for path in save_figure(figure, RUNS / "figures" / name):
         console.print(f"written to {path}", soft_wrap=True)
 
 
 def pooled(entries: Sequence[Entry], label: str | None = None) -> Entry:
-    """One policy's entries, a run each on the same houses, as one; its name tells how many."""
+    """One policy's entries, a run each on the same houses, as one; its name has their number."""
     first = entries[0]
-    name = label or _common_start([entry["policy"] for entry in entries])
+    name = label or _common_prefix([entry["policy"] for entry in entries])
     if len(entries) == 1:
         return {**first, "policy": label or first["policy"]}
     houses = [entry["houses"] for entry in entries]
@@ -217,23 +218,23 @@ def pooled(entries: Sequence[Entry], label: str | None = None) -> Entry:
     }
 
 
-def what_was_played(entry: Entry, env: Mapping[str, Any]) -> str:
-    """What makes entries comparable: one world's rules, and the same houses and starts."""
-    apart = (*OF_THE_MACHINE, "n_agents")  # the entry's own may be another team's
-    rules = {key: value for key, value in env.items() if key not in apart}
+def world_key(entry: Entry, env: Mapping[str, Any]) -> str:
+    """A text that comparable entries share: the world's rules, and the same houses and starts."""
+    ignored = (*SPEED_KEYS, "n_agents")  # an entry may be of another team size than training
+    rules = {key: value for key, value in env.items() if key not in ignored}
     names = ("seed", "path", "rows", "cols", "free_cells", "bound_100", "max_steps")
     houses = [[house.get(name) for name in names] for house in entry["houses"]]
     return json.dumps([rules, entry["house_set"], entry["n_agents"], houses], sort_keys=True)
 
 
-def _apart_from_the_seed(config: Config) -> str:
-    """All of a run's config that makes it another policy than its other seeds, as text."""
-    setting = {key: value for key, value in config.items() if key not in BESIDE_THE_POINT}
+def _setting_key(config: Config) -> str:
+    """A text that runs share which differ in their seeds alone: the rest of their config."""
+    setting = {key: value for key, value in config.items() if key not in IGNORED_KEYS}
     return json.dumps(setting, sort_keys=True)
 
 
-def _common_start(names: Sequence[str]) -> str:
-    """What names begin with alike, without the marks before what differs."""
+def _common_prefix(names: Sequence[str]) -> str:
+    """The common prefix of names, without the separators at its end."""
     shortest, longest = min(names), max(names)
     length = next((i for i, c in enumerate(shortest) if c != longest[i : i + 1]), len(shortest))
     return shortest[:length].removesuffix("s").rstrip("-_") or shortest

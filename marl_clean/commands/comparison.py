@@ -22,7 +22,7 @@ from marl_clean.errors import BadInput
 
 @dataclass(frozen=True)
 class Comparison:
-    """What is asked, and the rows that answer it: a label and the settings behind it."""
+    """A question, and the rows that answer it: labels and the settings behind them."""
 
     question: str
     rows: Mapping[str, Sequence[str]]
@@ -89,13 +89,13 @@ COMPARISONS = {
 
 
 def jobs_of(name: str, settings: Sequence[str]) -> dict[str, list[DictConfig]]:
-    """The checked configs behind each row of a comparison, one a seed.
+    """The checked configs behind each row of a comparison, one per seed.
 
-    Raises BadInput where a setting is wrong, or would make the rows something else.
+    Raises BadInput where a setting is wrong, or would change what the rows mean.
     """
-    given = {override.key for override in parse_overrides(settings)}
+    keys = {override.key for override in parse_overrides(settings)}
     for key in ("name", "checkpoint", EXPERIMENT):
-        if key in given:
+        if key in keys:
             raise BadInput(f"{key}: figure {name} trains runs of its own; leave it out")
     jobs = {}
     for label, row in COMPARISONS[name].rows.items():
@@ -125,9 +125,9 @@ def main(name: str, settings: Sequence[str], console: Console | None = None) -> 
         learned, planner = [], []
         for config in configs:
             entries = train.main(config, RUNS / config.name, console)
-            of_set = [e for e in entries if e["house_set"] == entries[0]["house_set"]]
-            learned.append(of_set[0])
-            planner += [entry for entry in of_set if entry["policy"] == YARDSTICK]
+            first_set = [e for e in entries if e["house_set"] == entries[0]["house_set"]]
+            learned.append(first_set[0])
+            planner += [entry for entry in first_set if entry["policy"] == YARDSTICK]
         rows[label] = (pooled(learned), planner[0])
     first = next(iter(jobs.values()))
     title = f"{COMPARISONS[name].question}\n{how_much(settings, first)}"
@@ -138,7 +138,7 @@ def main(name: str, settings: Sequence[str], console: Console | None = None) -> 
 
 
 def how_much(settings: Sequence[str], configs: Sequence[DictConfig]) -> str:
-    """How long the runs of a row were trained and on how much they were measured, in words."""
+    """The runs' training budget, their number and their number of test houses, in words."""
     budget = [o.value for o in parse_overrides(settings) if o.key == BUDGET]
     config = configs[0]
     return (

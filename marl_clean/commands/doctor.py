@@ -18,15 +18,15 @@ DISTRIBUTION = "marl-clean"
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the report; `mend` says what to do about it, or is empty when all is well."""
+    """One line of the report; `mend` is the remedy, empty where nothing is wrong."""
 
-    what: str
+    name: str
     state: str
     mend: str = ""
 
 
 def findings() -> Iterator[Finding]:
-    """Everything worth knowing about this installation, what is wrong included."""
+    """The state of this installation, what is wrong included."""
     yield Finding("marl-clean", __version__)
     yield Finding("python", f"{platform.python_version()} ({sys.executable})")
     yield _conf()
@@ -48,7 +48,7 @@ def _distributions() -> Iterator[Finding]:
     except metadata.PackageNotFoundError:
         yield Finding(DISTRIBUTION, "runs from its folder, not installed", "pip install -e .")
         return
-    # Everybody's first; what two extras ask for once.
+    # A package that several extras require is listed once.
     requirements = {requirement.name: requirement for requirement in map(Requirement, declared)}
     extras = {name: _extra_of(requirement) for name, requirement in requirements.items()}
     for name in sorted(requirements, key=lambda name: (extras[name] or "", name)):
@@ -69,7 +69,7 @@ def _distribution(requirement: Requirement, extra: str | None) -> Finding:
 
 
 def _extra_of(requirement: Requirement) -> str | None:
-    """The extra that asks for a requirement, or None when everybody needs it."""
+    """The extra that a requirement belongs to, or None when it is always required."""
     if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
         return None
     extras = metadata.metadata(DISTRIBUTION).get_all("Provides-Extra") or []

@@ -11,19 +11,14 @@ from marl_clean.config.schema import choices
 from marl_clean.config.stored import RUNS
 from marl_clean.errors import BadInput
 
-NAMES = (
-    "houses",
-    "paper_1",
-    "paper_2",
-    "paper_3",
-    "paper_4",
-)  # known without importing what draws them
+# Known without importing the code that draws them.
+NAMES = ("houses", "paper_1", "paper_2", "paper_3", "paper_4")
 
 
 def main(name: str, cfg: DictConfig, console: Console | None = None) -> list[Path]:
     """Draw figure `name` of `cfg`'s world.
 
-    Raises BadInput when there is no such figure, or robots do not see what it shows.
+    Raises BadInput when there is no such figure, or it needs another observation.
     """
     if name not in NAMES:
         raise BadInput(f"figure {name!r}: no such figure; {choices(name, (*NAMES, *COMPARISONS))}")

@@ -1,4 +1,4 @@
-"""What sets configs apart, in the words of their settings: `comm=tarmac env.memory=private`."""
+"""Labels of configs: the settings in which they differ, `comm=tarmac env.memory=private`."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,31 +9,32 @@ Config = Mapping[str, Any]
 
 
 def labels(configs: Sequence[Config], without: Sequence[str]) -> list[str]:
-    """One label a config: the settings in which not all of them agree; keys in `without` aside.
+    """One label per config: the settings in which they differ, those in `without` ignored.
 
-    A level says it all: where schemes differ, their keys are not told. Configs that agree in
-    everything are called `run`.
+    Where the levels of a room differ, their keys are left out. Configs without any difference are
+    labelled `run`.
     """
-    told: list[dict[str, str]] = [{} for _ in configs]
+    differing: list[dict[str, str]] = [{} for _ in configs]
     for room in dict.fromkeys(key for config in configs for key in config):
         if room in without:
             continue
         sections = [config.get(room) for config in configs]
         levels = [level_of(section) for section in sections]
         if len(set(levels)) > 1:
-            for label, level in zip(told, levels, strict=True):
-                label[room] = str(level)
+            for settings, level in zip(differing, levels, strict=True):
+                settings[room] = str(level)
             continue
         leaves = [dict(leaves_of(section, room)) for section in sections]
-        for key in dict.fromkeys(key for one in leaves for key in one):
-            if len({str(one.get(key)) for one in leaves}) > 1:
-                for label, one in zip(told, leaves, strict=True):
-                    label[key] = str(one.get(key))
-    return [" ".join(f"{key}={value}" for key, value in one.items()) or "run" for one in told]
+        for key in dict.fromkeys(key for values in leaves for key in values):
+            if len({str(values.get(key)) for values in leaves}) > 1:
+                for settings, values in zip(differing, leaves, strict=True):
+                    settings[key] = str(values.get(key))
+    texts = [" ".join(f"{key}={value}" for key, value in s.items()) for s in differing]
+    return [text or "run" for text in texts]
 
 
 def level_of(section: Any) -> str | None:
-    """The level that a room's section is, of several their names; None of what is no room."""
+    """The level of a room's section, or the names of several; None if it is not a room's."""
     if not isinstance(section, Mapping):
         return None
     if "_target_" in section:

@@ -8,21 +8,21 @@ from marl_clean.config.stored import shipped_runs
 
 
 def lines() -> list[str]:
-    """A line a room, and below it a line a level: its name, and what its class claims.
+    """One line per room, below it one line per level: its name, and what its class claims.
 
-    A level that a plugin brings has the plugin's name after it. After the rooms come the presets,
-    and the trained runs that ship.
+    A plugin's level has the plugin's name after it. After the rooms come the presets, and the
+    trained runs that ship.
     """
     result = []
     for room, levels in rooms().items():
         width = max(map(len, levels), default=0)
-        targets = ((level, read_level(room, level)["_target_"]) for level in levels)
-        claims = (claim(target) + _whose(room, level) for level, target in targets)
-        lines_ = zip(levels, claims, strict=True)
-        result += [room, *(f"  {level:{width}}  {text}" for level, text in lines_)]
+        result.append(room)
+        for level in levels:
+            text = claim(read_level(room, level)["_target_"])
+            result.append(f"  {level:{width}}  {text}{_plugin_mark(room, level)}")
     for preset in PRESETS:
-        names = (f"  {name}{_whose(preset, name)}" for name in groups()[preset])
-        result += [f"{preset}=", *names]
+        result.append(f"{preset}=")
+        result += [f"  {name}{_plugin_mark(preset, name)}" for name in groups()[preset]]
     return [*result, "checkpoint=", *(f"  {name}" for name in shipped_runs())]
 
 
@@ -32,6 +32,6 @@ def claim(target: str) -> str:
     return docstring.partition("\n")[0]
 
 
-def _whose(group: str, level: str) -> str:
+def _plugin_mark(group: str, level: str) -> str:
     plugin = plugin_of(group, level)
     return f" ({plugin})" if plugin else ""

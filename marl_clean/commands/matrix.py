@@ -21,7 +21,7 @@ from marl_clean.errors import BadInput
 from marl_clean.evaluation.records import Entry
 from marl_clean.evaluation.table import interval, output, percent
 
-BESIDE_THE_POINT = (*OUTSIDE_THE_HASH, "seed")
+IGNORED_KEYS = (*OUTSIDE_THE_HASH, "seed")  # runs of one setting may differ in these
 CAPTION = (
     "Rows: trained over; columns: measured over, on the same houses. T_90 with 95 % interval over\n"
     "seeds and houses (a house not finished counts as its max_steps), and houses finished."
@@ -48,8 +48,8 @@ def main(
 
     `channels` are stacks such as `lossy,quantised`, with settings as in `lossy(loss=0.5)`; none:
     those that the runs were trained over. `houses`: how many, instead of each run's own. `out`:
-    where the entries are written, policies called `TRAINED | MEASURED`.
-    Raises BadInput where no run is left, or a channel is none.
+    where the entries are written, with policies named `TRAINED | MEASURED`.
+    Raises BadInput where no run is left, or a channel is invalid.
     """
     groups = gather(runs)
     tested = {text: section_of(text) for text in channels} or trained_over(groups)
@@ -85,8 +85,8 @@ def main(
 
 
 def gather(runs: Sequence[str]) -> dict[str, Trained]:
-    """The runs by what they were trained over, seeds together; what is no run is named."""
-    found: dict[str, Trained] = {}
+    """The runs by their setting, seeds together; folders that are no run are logged."""
+    groups: dict[str, Trained] = {}
     for run in dict.fromkeys(runs):
         try:
             folder = find_run(run)
@@ -94,30 +94,30 @@ def gather(runs: Sequence[str]) -> dict[str, Trained]:
         except BadInput as error:
             log.warning("left out: %s", error)
             continue
-        apart = {key: value for key, value in config.items() if key not in BESIDE_THE_POINT}
-        found.setdefault(str(sorted(apart.items())), Trained(config)).folders.append(folder)
-    if not found:
+        setting = {key: value for key, value in config.items() if key not in IGNORED_KEYS}
+        groups.setdefault(str(sorted(setting.items())), Trained(config)).folders.append(folder)
+    if not groups:
         raise BadInput(f"matrix: no run among {', '.join(runs)}; give folders of {RUNS}/")
-    names = labels([trained.config for trained in found.values()], BESIDE_THE_POINT)
-    return dict(zip(names, found.values(), strict=True))
+    names = labels([trained.config for trained in groups.values()], IGNORED_KEYS)
+    return dict(zip(names, groups.values(), strict=True))
 
 
 def trained_over(groups: Mapping[str, Trained]) -> dict[str, DictConfig]:
-    """The distinct channels of the runs, called after what sets them apart."""
+    """The distinct channels of the runs, labelled by what sets them apart."""
     sections: list[dict[str, Any]] = []
     for trained in groups.values():
         section = trained.config["channel"]
-        if list(section.items()) not in [list(one.items()) for one in sections]:  # order matters
+        if list(section.items()) not in [list(known.items()) for known in sections]:  # in order
             sections.append(section)
     names = labels([{"channel": section} for section in sections], ())
-    short = [name.removeprefix("channel=") for name in names]
-    alone = ["+".join(section) for section in sections]
-    chosen = short if len(sections) > 1 else alone
-    return {name: OmegaConf.create(s) for name, s in zip(chosen, sections, strict=True)}
+    names = [name.removeprefix("channel=") for name in names]
+    if len(sections) == 1:
+        names = ["+".join(sections[0])]
+    return {name: OmegaConf.create(s) for name, s in zip(names, sections, strict=True)}
 
 
 def section_of(text: str) -> DictConfig:
-    """The channel section of `lossy(loss=0.5),quantised`. Raises BadInput where it is none."""
+    """The channel section of `lossy(loss=0.5),quantised`. Raises BadInput for an invalid one."""
     stack, settings = [], []
     for part in text.replace(")", "").split(","):
         name, opened, inner = part.partition("(")

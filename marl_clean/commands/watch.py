@@ -1,4 +1,4 @@
-"""`marl-clean watch`: one held-out house, played in the terminal."""
+"""`marl-clean watch`: one episode in a held-out house, shown in the terminal."""
 
 import sys
 import time
@@ -20,20 +20,20 @@ def main(
     frames_per_second: float = FRAMES_PER_SECOND,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Play the first held-out house with `cfg.checkpoint`'s policy, or `cfg.planner`.
+    """Show an episode in the first held-out house with `cfg.checkpoint`'s policy or `cfg.planner`.
 
     Into a file or a pipe goes the last frame alone, as plain text and without delay.
     """
     say_plans(cfg)
     out = sys.stdout
-    moments = scenes(first_held_out(cfg), policy_of(cfg))
+    episode = scenes(first_held_out(cfg), policy_of(cfg))
     if not out.isatty():
-        *_, last = moments
+        *_, last = episode
         out.write(draw_text(last, colour=False) + "\n")
         return
     out.write(HIDE_CURSOR + CLEAR)
     try:
-        for scene in moments:
+        for scene in episode:
             # Written over the frame before, line by line: clearing it first would flicker.
             frame = draw_text(scene).replace("\n", f"{CLEAR_LINE}\n")
             out.write(f"{HOME}{frame}{CLEAR_LINE}\n{CLEAR_BELOW}")

@@ -1,4 +1,4 @@
-"""No team can be faster than this: lower bounds on the times at which a house is clean.
+"""Lower bounds on the times at which a house is clean, which no team can beat.
 
 F free cells, n0 distinct start cells, n robots, each of which cleans at most one cell a step:
 T_q >= ceil((need(q) - n0) / n), and T_100 >= the longest of the shortest walks to a cell.
@@ -76,7 +76,7 @@ def count_border(free: Bool[np.ndarray, "house row col"]) -> Int[np.ndarray, " h
 def walking_distance(
     free: Bool[np.ndarray, "house row col"], starts: Int[np.ndarray, "house robot 2"]
 ) -> Int[np.ndarray, "house row col"]:
-    """Steps on foot from the nearest start to each cell; -1 where nobody can go.
+    """Steps from the nearest start to each cell; -1 where no robot can go.
 
     A flood of all houses at once: as many passes as the longest walk has steps.
     """

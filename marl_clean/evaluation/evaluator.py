@@ -201,7 +201,7 @@ def play(
         policy,
         first,
         explore=exploring(env.base_env, epsilon),
-        playing=lambda: recorder.playing,
+        playing=lambda: recorder.running,
     )
     for step in steps:
         recorder.update(step)

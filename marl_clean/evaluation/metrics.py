@@ -1,8 +1,8 @@
-"""Every measure of an episode, counted while a batch of environments plays (world.md "Measures").
+"""Every measure of an episode, counted while a batch of environments steps (world.md "Measures").
 
-One environment is one house and one episode. All counts are integers; what is a share becomes
-one at the very end. A measure stops at the step at which the house is clean, or at the end of
-the episode; only T_certify may go on.
+One environment is one house and one episode. All counts are integers; shares are divided out at
+the very end. A measure stops at the step at which the house is clean, or at the end of the
+episode; only T_certify may continue.
 """
 
 from typing import Any
@@ -29,12 +29,12 @@ Record = dict[str, int | float | str | None]
 
 
 class Recorder:
-    """Follows episodes from their reset to their end, whatever the environments do after.
+    """Follows episodes from their reset to their end, whatever the environments do afterwards.
 
     `Recorder(env)` after the reset, `update(td)` with the tensordict of each step (root and
-    "next"), `records()` once nothing is `playing`. With `certify` a clean house plays on until
-    no unknown cell is beside one that a robot has stood on. With `optimum` the times are held
-    against the proven least T_100 too.
+    "next"), `records()` once nothing is `running`. With `certify` the episode of a clean house
+    continues until no unknown cell is beside a cell that a robot has stood on. With `optimum` the
+    times are compared with the proven least T_100 too.
     """
 
     def __init__(self, env: CleaningEnv, certify: bool = False, optimum: bool = False) -> None:
@@ -48,27 +48,27 @@ class Recorder:
         self.rows, self.cols = state.rows.clone(), state.cols.clone()
         self.max_steps, self.num_free = state.max_steps.clone(), state.num_free.clone()
 
-        def zeros(*shape: int, dtype: torch.dtype = torch.int64) -> Tensor:
-            return torch.zeros((num_envs, *shape), dtype=dtype, device=device)
+        def full(value: float, *shape: int, dtype: torch.dtype = torch.int64) -> Tensor:
+            return torch.full((num_envs, *shape), value, dtype=dtype, device=device)
 
         cells = state.blocked[0].numel()
-        self.entered = zeros(n_agents, cells, dtype=torch.bool)  # by each robot
+        self.entered = full(False, n_agents, cells, dtype=torch.bool)  # by each robot
         self._enter(state, torch.ones_like(state.moved))
-        self.num_entries = zeros() + n_agents
-        self.first_cleaned = zeros(n_agents) + 1  # robots never share a cell: each cleaned its own
+        self.num_entries = full(n_agents)
+        self.first_cleaned = full(1, n_agents)  # robots never share a cell: each cleaned its own
         self.num_visited = state.num_visited.clone()
         self.sum_visited = state.num_visited.clone()  # over the steps so far
-        self.steps = zeros()
-        self.counts = {name: zeros() for name in COUNTED}
-        self.total_reward = zeros(dtype=torch.float64)
-        self.reached = {percent: zeros() + NEVER for percent in PERCENTS}
-        self.certified_at = zeros() + NEVER
-        self.measuring = zeros(dtype=torch.bool) | True
-        self.playing = self.measuring.clone()
+        self.steps = full(0)
+        self.counts = {name: full(0) for name in COUNTED}
+        self.total_reward = full(0.0, dtype=torch.float64)
+        self.reached = {percent: full(NEVER) for percent in PERCENTS}
+        self.certified_at = full(NEVER)
+        self.measuring = full(True, dtype=torch.bool)
+        self.running = self.measuring.clone()
         self._note(state)
 
     def update(self, step: TensorDictBase) -> None:
-        """Count one step: `step` holds what was seen and done, and under "next" what came of it."""
+        """Count one step: observations and actions in `step`, their outcome under its "next"."""
         state, live = self.env.state, self.measuring
         each = live[:, None]
         self._enter(state, each)
@@ -85,38 +85,38 @@ class Recorder:
         self._stop(state, step["next"][DONE].flatten())
 
     def share_done(self) -> float:
-        """How much of the episodes is over: of each its coverage or its steps, what is more."""
+        """The share of the episodes that is done: for each its coverage or its steps, if larger."""
         by_cells = self.num_visited / self.num_free
         by_steps = self.steps / self.max_steps
         share = torch.maximum(by_cells, by_steps).clamp(max=1)
-        return float(torch.where(self.playing, share, 1.0).mean())
+        return float(torch.where(self.running, share, 1.0).mean())
 
     def _enter(self, state: State, counts: Bool[Tensor, "env agent_or_1"]) -> None:
-        """Mark the cell under each robot as entered by it, where the house still counts."""
+        """Mark the cell under each robot as entered by it, in place, where `counts`."""
         cell = cell_index(state.position, self.env.rules.margin, state.blocked.shape[2])[..., None]
         before = self.entered.gather(2, cell)
         self.entered.scatter_(2, cell, before | counts[..., None])
 
     def _note(self, state: State) -> None:
-        """Write down the times that this step is the first to reach."""
+        """Record the times that this step is the first to reach."""
         for percent, time in self.reached.items():
             enough = self.num_visited >= bounds.need(percent, self.num_free)
             first = enough & (time == NEVER)
             self.reached[percent] = torch.where(first, state.step, time)
         if self.certify:
-            unsure = self.playing & (self.certified_at == NEVER)
-            sure = unsure & certified(state, self.entered)
-            self.certified_at = torch.where(sure, state.step, self.certified_at)
+            uncertified = self.running & (self.certified_at == NEVER)
+            reached = uncertified & certified(state, self.entered)
+            self.certified_at = torch.where(reached, state.step, self.certified_at)
 
     def _stop(self, state: State, done: Bool[Tensor, " env"]) -> None:
-        """Being done ends the measures, and also the play unless a clean house waits to be sure."""
+        """Done ends the measures, and the episode unless a clean house is yet to be certified."""
         self.measuring = self.measuring & ~done
         clean = self.num_visited >= self.num_free
-        unsure = (self.certified_at == NEVER) & (state.step < self.max_steps)
-        self.playing = self.playing & (self.measuring | (self.certify & clean & unsure))
+        uncertified = (self.certified_at == NEVER) & (state.step < self.max_steps)
+        self.running = self.running & (self.measuring | (self.certify & clean & uncertified))
 
     def records(self) -> list[Record]:
-        """One record a house, in the order of the environments; the names are world.md's."""
+        """One record per house, in the order of the environments; the names are world.md's."""
         columns: dict[str, list[Any]] = {
             "rows": self.rows.tolist(),
             "cols": self.cols.tolist(),
@@ -140,25 +140,25 @@ class Recorder:
         times = {str(percent): time for percent, time in self.reached.items()}
         if self.certify:
             times["certify"] = self.certified_at
-        found: dict[str, list[int | float | None]] = {
+        measures: dict[str, list[int | float | None]] = {
             f"T_{name}": [None if step == NEVER else step for step in time.tolist()]
             for name, time in times.items()
         }
         for name in times:
-            pairs = zip(found[f"T_{name}"], self.bounds[f"bound_{name}"], strict=True)
-            found[f"ratio_{name}"] = [ratio(time, bound) for time, bound in pairs]
+            pairs = zip(measures[f"T_{name}"], self.bounds[f"bound_{name}"], strict=True)
+            measures[f"ratio_{name}"] = [ratio(time, bound) for time, bound in pairs]
         if self.optima is not None:
-            found["optimum_100"] = list(self.optima)
-            pairs = zip(found["T_100"], self.optima, strict=True)
-            found["gap_100"] = [ratio(time, least) for time, least in pairs]
-        return found
+            measures["optimum_100"] = list(self.optima)
+            pairs = zip(measures["T_100"], self.optima, strict=True)
+            measures["gap_100"] = [ratio(time, least) for time, least in pairs]
+        return measures
 
     def _shares(self) -> dict[str, Tensor]:
         """The measures that are quotients of counts, as float64 [B]."""
         own = self.entered.sum(2)  # distinct cells of each robot
         distinct = self.entered.any(1).sum(1)
         cleaned = self.first_cleaned.to(torch.float64)
-        # What the last step left stays until max_steps: 1 in a clean house.
+        # The coverage of the last step counts until max_steps: 1 in a clean house.
         remaining = (self.max_steps - self.steps) * self.num_visited
         return {
             "coverage": self.num_visited / self.num_free.to(torch.float64),
@@ -171,19 +171,19 @@ class Recorder:
         }
 
 
-COSTS = ("messages", "edges", "bits", "rounds")  # told per step, and per cell cleaned
-RATES = ("contact", *COSTS)  # counted, and told per step
+COSTS = ("messages", "edges", "bits", "rounds")  # reported per step, and per cell cleaned
+RATES = ("contact", *COSTS)  # counted, and reported per step
 COUNTED = ("bumps", "collisions", *RATES, "spoken", "speakable")
 
 
 def step_counts(state: State, step: TensorDictBase) -> dict[str, Int[Tensor, " env"]]:
-    """What is counted each step: bumps, collisions, and what went between the robots.
+    """The counts of one step: bumps, collisions, and communication between the robots.
 
     An edge is a pair in contact when the actions were chosen; a message is what one robot sends
     along one of its edges in one round, so a step has two messages an edge and round, fewer where
-    a robot chooses or has to be silent, and none under a silent policy. A round counts where
-    anybody sent. The gate's rate is the share of robots in contact that were written to in the
-    first round, of a policy that sends at all.
+    a robot chooses or has to be silent, and none under a silent policy. A round counts where any
+    robot sent. The gate's rate is the share of contacts over which a message was sent in the first
+    round, of a policy that sends at all.
     """
     adjacency = step[ADJACENCY]
     degree = adjacency.sum(2)
@@ -207,13 +207,14 @@ def step_counts(state: State, step: TensorDictBase) -> dict[str, Int[Tensor, " e
     }
 
 
-def shares(counts: Int[Tensor, " env"], of: Int[Tensor, " env"]) -> list[float | None]:
-    """Each count as a share of another; null where that is 0."""
-    return [a / b if b else None for a, b in zip(counts.tolist(), of.tolist(), strict=True)]
+def shares(counts: Int[Tensor, " env"], totals: Int[Tensor, " env"]) -> list[float | None]:
+    """Each count divided by its total; null where that is 0."""
+    pairs = zip(counts.tolist(), totals.tolist(), strict=True)
+    return [count / total if total else None for count, total in pairs]
 
 
 def certified(state: State, entered: Bool[Tensor, "env agent cell"]) -> Bool[Tensor, " env"]:
-    """Tell where no unknown cell is a 4-neighbour of a cell some robot has stood on."""
+    """Whether no unknown cell is a 4-neighbour of a cell that some robot has stood on."""
     unknown = is_unknown(state.record).all(1)  # to every robot
     stood = entered.any(1).view_as(unknown)
     beside = neighbours(stood, False).any(0)
@@ -228,21 +229,21 @@ def ratio(time: int | float | None, bound: int | None) -> float | None:
 def episode_bounds(state: State, rules: Rules) -> dict[str, list[int | None]]:
     """The bounds on each T, for worlds at step 0; null where furniture moves.
 
-    That on T_certify holds for blind robots only: `sensor=bump` and `knowledge=unknown`.
+    The bound on T_certify holds for blind robots only: `sensor=bump` and `knowledge=unknown`.
     """
     names = [f"bound_{percent}" for percent in PERCENTS] + ["bound_certify"]
-    found: dict[str, list[int | None]] = {name: [None] * len(state.step) for name in names}
+    result: dict[str, list[int | None]] = {name: [None] * len(state.step) for name in names}
     if state.furniture_moves.shape[1] > 0:
-        return found
-    free, starts = plans_of(state, rules)
+        return result
+    free, starts = grids_and_positions(state, rules)
     num_free, num_starts = free.sum(axis=(1, 2)), bounds.count_starts(starts)
     for percent in PERCENTS:
         least = bounds.bound_percent(percent, num_free, num_starts, starts.shape[1])
-        found[f"bound_{percent}"] = least.tolist()
-    found["bound_100"] = bounds.bound_100(free, starts).tolist()
+        result[f"bound_{percent}"] = least.tolist()
+    result["bound_100"] = bounds.bound_100(free, starts).tolist()
     if rules.sensor is Sensor.BUMP and rules.knowledge is Knowledge.UNKNOWN:
-        found["bound_certify"] = bounds.bound_certify(free, starts).tolist()
-    return found
+        result["bound_certify"] = bounds.bound_certify(free, starts).tolist()
+    return result
 
 
 def episode_optima(state: State, rules: Rules) -> list[int | None]:
@@ -251,13 +252,13 @@ def episode_optima(state: State, rules: Rules) -> list[int | None]:
         return [None] * len(state.step)
     return [
         optimal_T_100(free, starts) if free.sum() <= MOST_CELLS else None
-        for free, starts in zip(*plans_of(state, rules), strict=True)
+        for free, starts in zip(*grids_and_positions(state, rules), strict=True)
     ]
 
 
-def plans_of(
+def grids_and_positions(
     state: State, rules: Rules
 ) -> tuple[Bool[np.ndarray, "env row col"], Int[np.ndarray, "env agent 2"]]:
-    """The free cells and the robots' places, on the host."""
+    """The free cells and the robots' positions, on the host."""
     inner = slice(rules.margin, -rules.margin)
     return (~state.blocked[:, inner, inner]).cpu().numpy(), state.position.cpu().numpy()

@@ -1,7 +1,7 @@
 """The least time in which robots that know a small house can clean it, proven by OR-tools.
 
-Blind robots cannot be faster: what they need above it is the price of not knowing the house,
-and of planning less well. OR-tools is an extra, and imported only where a time is asked for.
+Blind robots cannot be faster: their excess over it is the price of not knowing the house, and of
+suboptimal planning. OR-tools is an extra, and imported only where a time is asked for.
 """
 
 from functools import lru_cache
@@ -13,8 +13,8 @@ from jaxtyping import Bool, Int
 from marl_clean.evaluation.bounds import bound_100, walking_distance
 
 Place = tuple[int, int]
-MOST_CELLS = 60  # free cells of the houses that are measured: of larger ones few are proven
-TIME_LIMIT = 20.0  # for a house
+MOST_CELLS = 60  # free cells: for larger houses few optima are proven within the limit
+TIME_LIMIT = 20.0  # per house
 
 
 def optimal_T_100(
@@ -25,17 +25,17 @@ def optimal_T_100(
     """The least T_100 of robots that know the house; null where it is not proven in the limit.
 
     Exact under the rules of the world. `time_limit` is in CP-SAT's deterministic seconds, one or
-    two of the clock's, so that what is proven does not depend on how busy the machine is.
+    two of the clock's, so that results do not depend on how busy the machine is.
 
-    One robot: the shortest walk to all cells is the shortest path through them all where every
-    two are joined by the way between them. Several: is there a play of T = `bound_100` steps, of
-    one more, ...? A house that can be clean after T steps can be after T + 1.
+    One robot: the shortest walk to all cells is the shortest Hamiltonian path in the complete graph
+    of walking distances. Several: is there a schedule of T = `bound_100` steps, of one more, ...?
+    A house that can be clean after T steps can be clean after T + 1.
     """
     places = tuple((int(row), int(col)) for row, col in starts)
     return _optimal(free.tobytes(), (free.shape[0], free.shape[1]), places, time_limit)
 
 
-@lru_cache(maxsize=10_000)  # every policy meets the same houses from the same starts
+@lru_cache(maxsize=10_000)  # every policy is measured on the same houses and starts
 def _optimal(
     packed: bytes, shape: tuple[int, int], starts: tuple[Place, ...], time_limit: float
 ) -> int | None:
@@ -44,7 +44,7 @@ def _optimal(
         return _shortest_walk(free, starts[0], time_limit)
     steps = int(bound_100(free[None], np.array([starts]))[0])
     while time_limit > 0:
-        solved, used = _solve(_play(free, starts, steps), time_limit)
+        solved, used = _solve(_schedule(free, starts, steps), time_limit)
         if solved is None or solved >= 0:
             return None if solved is None else steps
         steps, time_limit = steps + 1, time_limit - used
@@ -79,23 +79,23 @@ def _shortest_walk(
     model = cp_model.CpModel()
     nowhere = len(cells)  # closes the circuit from the last cell to the first
     arcs, cost = [], []
-    for one, place in enumerate(cells):
+    for index, place in enumerate(cells):
         is_start = tuple(place) == start
-        arcs.append((one, nowhere, model.new_bool_var("")))
+        arcs.append((index, nowhere, model.new_bool_var("")))
         if is_start:
-            arcs.append((nowhere, one, model.new_bool_var("")))
+            arcs.append((nowhere, index, model.new_bool_var("")))
             continue
         for other in range(len(cells)):
-            if other != one:
-                arcs.append((other, one, model.new_bool_var("")))
+            if other != index:
+                arcs.append((other, index, model.new_bool_var("")))
                 cost.append(int(steps[other][tuple(place)]) * arcs[-1][2])
     model.add_circuit(arcs)
     model.minimize(sum(cost))
     return _solve(model, time_limit)[0]
 
 
-def _play(free: Bool[np.ndarray, "row col"], starts: tuple[Place, ...], steps: int) -> Any:
-    """The plays of so many steps that clean the house, as a model: who is where at each step."""
+def _schedule(free: Bool[np.ndarray, "row col"], starts: tuple[Place, ...], steps: int) -> Any:
+    """A model of the schedules of so many steps that clean the house: each robot's cell by step."""
     from ortools.sat.python import cp_model
 
     model = cp_model.CpModel()
@@ -106,27 +106,27 @@ def _play(free: Bool[np.ndarray, "row col"], starts: tuple[Place, ...], steps: i
         nearest = walking_distance(free[None], np.array([[start]]))[0]
         times = range(steps + 1)
         at.append([{c: model.new_bool_var("") for c in cells if nearest[c] <= t} for t in times])
-    for robot, whole in enumerate(at):
-        model.add_exactly_one(whole[0].values())
-        others = [theirs for other, theirs in enumerate(at) if other != robot]
-        for step, (now, then) in enumerate(zip(whole, whole[1:], strict=False)):
+    for robot, path in enumerate(at):
+        model.add_exactly_one(path[0].values())
+        others = [other for index, other in enumerate(at) if index != robot]
+        for step, (now, then) in enumerate(zip(path, path[1:], strict=False)):
             model.add_exactly_one(then.values())
             for cell, is_there in then.items():
                 came_from = [now[place] for place in (cell, *beside[cell]) if place in now]
                 model.add_bool_or(~is_there, *came_from)
-                for theirs in others:  # who stands or stood there keeps everybody out
-                    for taken in (theirs[step], theirs[step + 1]):
+                for other in others:  # a robot that stands or stood there keeps the others out
+                    for taken in (other[step], other[step + 1]):
                         if cell in taken:
                             model.add_bool_or(~is_there, ~taken[cell])
             for cell in now:
                 if len(beside[cell]) < 4:
                     continue  # beside a wall a robot stays by bumping into it
-                stood = [theirs[step] for theirs in others]
+                stood = [other[step] for other in others]
                 enters = [lower[step + 1] for lower in at[:robot]]
                 collides = [a[p] for a in stood + enters for p in beside[cell] if p in a]
                 model.add_bool_or(~now[cell], ~then[cell], *collides)
     for cell in cells:
-        model.add_bool_or([now[cell] for whole in at for now in whole if cell in now])
+        model.add_bool_or([now[cell] for path in at for now in path if cell in now])
     return model
 
 

@@ -1,4 +1,4 @@
-"""Policies against one of them, on the same houses from the same starts, seed by seed."""
+"""Paired differences of policies to a reference, on the same houses and starts, per seed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from rich import box
 from rich.table import Table
 
-from marl_clean.evaluation.records import SHOWN_OF_OTHERS, Entry, House, sample
+from marl_clean.evaluation.records import SHOWN_EXTERNAL, Entry, House, sample
 from marl_clean.evaluation.statistics import as_sample, holm, paired_difference, paired_p
 
 FINISHED = "finished"
@@ -25,9 +25,9 @@ CAPTION = (
 
 @dataclass(frozen=True)
 class Row:
-    """One setting: what it is called, its runs by seed, and how large its network is.
+    """One setting: its label, its runs by seed, and its number of parameters.
 
-    A planner has one run, which stands beside every seed.
+    A planner has one run, which is paired with every seed.
     """
 
     label: str
@@ -36,61 +36,61 @@ class Row:
 
 
 def differences(rows: Sequence[Row], reference: Row) -> list[dict[str, Any]]:
-    """Each row against the reference, over the seeds that both have.
+    """Each row minus the reference, over the seeds that both have.
 
     A list of `{"row", "reference", "seeds", "parameters", measure: {"mean", "ci95", "p",
     "p_holm"}}`; rows that share no seed with it are left out. Measures are those of
-    evaluation.json, a time not reached counts as max_steps; `finished` is 1 or 0 a house. Tasks
-    of others have their `return` alone.
+    evaluation.json, a time not reached counts as max_steps; `finished` is 1 or 0 per house.
+    External tasks have `return` alone.
     """
-    found = []
+    results = []
     for row in rows:
         seeds = common_seeds(row, reference)
         if row is reference or not seeds:
             continue
-        one: dict[str, Any] = {"row": row.label, "reference": reference.label, "seeds": seeds}
-        one["parameters"] = row.parameters
+        result: dict[str, Any] = {"row": row.label, "reference": reference.label, "seeds": seeds}
+        result["parameters"] = row.parameters
         for measure in compared(reference):
-            ours, theirs = (values(side, seeds, measure) for side in (row, reference))
-            estimate = paired_difference(ours, theirs)
+            measured, baseline = (values(side, seeds, measure) for side in (row, reference))
+            estimate = paired_difference(measured, baseline)
             interval = None if estimate.ci95 is None else list(estimate.ci95)
-            p = paired_p(ours, theirs)
-            one[measure] = {"mean": estimate.mean, "ci95": interval, "p": p}
-        found.append(one)
-    cells = [one[measure] for one in found for measure in compared(reference)]
+            p = paired_p(measured, baseline)
+            result[measure] = {"mean": estimate.mean, "ci95": interval, "p": p}
+        results.append(result)
+    cells = [result[measure] for result in results for measure in compared(reference)]
     for cell, corrected in zip(cells, holm([cell["p"] for cell in cells]), strict=True):
         cell["p_holm"] = corrected
-    return found
+    return results
 
 
 def compared(row: Row) -> tuple[str, ...]:
-    """The measures that rows of this one's world are compared by."""
+    """The measures by which rows of this row's world are compared."""
     [first, *_] = row.runs.values()
-    return COMPARED if "T_100" in first["houses"][0] else SHOWN_OF_OTHERS
+    return COMPARED if "T_100" in first["houses"][0] else SHOWN_EXTERNAL
 
 
 def common_seeds(row: Row, reference: Row) -> list[int]:
     """The seeds that both have."""
     both = [{seed for seed in side.runs if seed is not None} for side in (row, reference)]
-    if None in row.runs or None in reference.runs:  # a planner beside them
+    if None in row.runs or None in reference.runs:  # a planner is paired with every seed
         return sorted(both[0] | both[1])
     return sorted(both[0] & both[1])
 
 
 def without_twin(rows: Sequence[Row], reference: Row) -> list[str]:
-    """Each row's seeds that not both have, it and the reference, in words."""
-    told = []
+    """For each row, in words, the seeds that only it or only the reference has."""
+    lines = []
     for row in rows:
-        if None in row.runs or None in reference.runs:  # a planner stands beside every seed
+        if None in row.runs or None in reference.runs:  # a planner is paired with every seed
             continue
         seeds = ", ".join(str(seed) for seed in sorted({*row.runs} ^ {*reference.runs}))
         if seeds:
-            told.append(f"{row.label}: {seeds}")
-    return told
+            lines.append(f"{row.label}: {seeds}")
+    return lines
 
 
 def values(row: Row, seeds: Sequence[int], measure: str) -> Float[np.ndarray, "run house"]:
-    """A measure's values, a run a row; one row of a planner."""
+    """A measure's values, one row per run; a planner has one row."""
     entries = [row.runs[None]] if None in row.runs else [row.runs[seed] for seed in seeds]
     runs: list[Sequence[House]] = [entry["houses"] for entry in entries]
     if measure == FINISHED:
@@ -98,29 +98,31 @@ def values(row: Row, seeds: Sequence[int], measure: str) -> Float[np.ndarray, "r
     return sample(runs, measure)
 
 
-def make_paired_table(found: Sequence[Mapping[str, Any]], reference: Row) -> Table:
+def make_paired_table(results: Sequence[Mapping[str, Any]], reference: Row) -> Table:
     """The differences as a table in the terminal."""
-    of = f" ({reference.parameters:,} parameters)" if reference.parameters else ""
+    size = f" ({reference.parameters:,} parameters)" if reference.parameters else ""
     table = Table(
-        title=f"minus {reference.label}{of}",
+        title=f"minus {reference.label}{size}",
         caption=CAPTION,
         caption_justify="left",
         box=box.SIMPLE_HEAD,
     )
-    networks = any(one["parameters"] is not None or len(one["seeds"]) > 1 for one in found)
+    networks = any(
+        result["parameters"] is not None or len(result["seeds"]) > 1 for result in results
+    )
     table.add_column("", no_wrap=True)
     for title in (*(("parameters", "seeds") if networks else ()), *compared(reference)):
         table.add_column(title, justify="right", no_wrap=True)
-    for one in found:
-        parameters = "-" if one["parameters"] is None else f"{one['parameters']:,}"
-        about = (parameters, str(len(one["seeds"]))) if networks else ()
-        cells = [cell_of(one[measure], measure) for measure in compared(reference)]
-        table.add_row(one["row"], *about, *cells)
+    for result in results:
+        parameters = "-" if result["parameters"] is None else f"{result['parameters']:,}"
+        about = (parameters, str(len(result["seeds"]))) if networks else ()
+        cells = [cell_of(result[measure], measure) for measure in compared(reference)]
+        table.add_row(result["row"], *about, *cells)
     return table
 
 
 def cell_of(difference: Mapping[str, Any], measure: str) -> str:
-    """A difference and its interval, marked where it is more than chance, also corrected."""
+    """A difference and its interval, with a star where p < LEVEL, two where the corrected p is."""
     if difference["mean"] is None:
         return "-"
     scale = 100 if measure == FINISHED else 1
@@ -128,5 +130,9 @@ def cell_of(difference: Mapping[str, Any], measure: str) -> str:
         f"{scale * value:+.1f}" for value in (difference["mean"], *difference["ci95"])
     )
     unit = " %" if measure == FINISHED else ""
-    mark = "*" * sum(difference[p] < LEVEL for p in ("p", "p_holm"))
+    mark = ""
+    if difference["p_holm"] < LEVEL:
+        mark = "**"
+    elif difference["p"] < LEVEL:
+        mark = "*"
     return f"{mean}{unit} [{low}, {high}] {mark:2}"

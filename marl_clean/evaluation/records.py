@@ -1,4 +1,4 @@
-"""`evaluation.json`: what was measured house by house, and what it comes to.
+"""`evaluation.json`: measures house by house, and their summaries.
 
 A list with one entry for each (policy, set of houses); `schema` is the version of this format,
 `world` that of the rules. Nothing here needs torch.
@@ -34,26 +34,26 @@ MEASURES = (
     *("optimum_100", "gap_100"),
 )
 SHOWN = ("T_90", "T_100", "coverage", "redundancy")  # in every table of houses
-SHOWN_OF_OTHERS = ("return",)  # in tasks that know nothing of cells
+SHOWN_EXTERNAL = ("return",)  # in tables of external tasks, which have no cells
 
 
-class _Summary(BaseModel, strict=True):
-    """What readers need of a measure's summary."""
+class _ReadSummary(BaseModel, strict=True):
+    """The fields of a measure's summary that readers need."""
 
     mean: FiniteFloat | None
     ci95: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)] | None
     reached: FiniteFloat
 
 
-class _Whole(BaseModel, strict=True):
-    """What readers need of an entry."""
+class _ReadEntry(BaseModel, strict=True):
+    """The fields of an entry that readers need."""
 
     policy: str
     house_set: str
     epsilon: FiniteFloat
     n_agents: int
     houses: Annotated[list[dict[str, FiniteFloat | str | None]], Field(min_length=1)]
-    summary: dict[str, _Summary]
+    summary: dict[str, _ReadSummary]
 
 
 def make_entry(
@@ -64,7 +64,7 @@ def make_entry(
     n_agents: int,
     houses: Sequence[House],
 ) -> Entry:
-    """One entry of evaluation.json, its summary worked out."""
+    """One entry of evaluation.json, its summary computed."""
     return {
         "schema": SCHEMA,
         "world": WORLD,
@@ -83,18 +83,18 @@ def summarise(runs: Sequence[Sequence[House]]) -> dict[str, dict[str, Any]]:
 
     `runs` are one policy's records over the same houses, once for each training seed. A time
     that was not reached counts as the house's `max_steps` in mean, iqm and interval; `reached`
-    tells how many were. Where a measure has no value at all the numbers are null.
+    is the share of houses that reached it. A measure without any value has nulls.
     """
     summary = {}
     for measure in MEASURES:
         if any(measure not in run[0] for run in runs):
-            continue  # T_certify and the optimum are measured on demand, others came later
+            continue  # measured on demand, or newer than the file
         values = sample(runs, measure)
-        found = estimate(values)
+        estimated = estimate(values)
         summary[measure] = {
-            "mean": found.mean,
+            "mean": estimated.mean,
             "iqm": iqm(values),
-            "ci95": None if found.ci95 is None else list(found.ci95),
+            "ci95": None if estimated.ci95 is None else list(estimated.ci95),
             "reached": share_reached(runs, measure),
         }
     return summary
@@ -102,12 +102,12 @@ def summarise(runs: Sequence[Sequence[House]]) -> dict[str, dict[str, Any]]:
 
 def means(houses: Sequence[House]) -> dict[str, float]:
     """The means of every measure that has one, and the share of houses `finished`."""
-    found = {"finished": share_reached([houses], "T_100")}
+    result = {"finished": share_reached([houses], "T_100")}
     for measure in MEASURES:
         values = sample([houses], measure) if measure in houses[0] else np.array([np.nan])
         if np.isfinite(values).any():
-            found[measure] = float(np.nanmean(values))
-    return found
+            result[measure] = float(np.nanmean(values))
+    return result
 
 
 def sample(runs: Sequence[Sequence[House]], measure: str) -> Float[np.ndarray, "run house"]:
@@ -142,9 +142,10 @@ def write_entries(path: Path, entries: Sequence[Entry]) -> None:
 
 
 def read_entries(path: Path) -> list[Entry]:
-    """The entries of an evaluation.json; it may come from a stranger.
+    """The entries of an evaluation.json, which need not be trusted.
 
-    Raises BadInput when it is none, of another version, or lacks what tables and comparisons need.
+    Raises BadInput when it is not one, of another version, or lacks what tables and comparisons
+    need.
     """
     try:
         entries = json.loads(path.read_text(encoding="utf-8"))
@@ -163,14 +164,14 @@ def read_entries(path: Path) -> list[Entry]:
 
 
 def _fault(entry: Entry) -> str | None:
-    """What keeps an entry from being shown and pooled with others; None if nothing does."""
+    """The reason why an entry cannot be shown and pooled with others; None if it can."""
     try:
-        TypeAdapter(_Whole).validate_python(entry)
+        TypeAdapter(_ReadEntry).validate_python(entry)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
     houses = entry["houses"]
-    shown = SHOWN if "T_100" in houses[0] else SHOWN_OF_OTHERS
+    shown = SHOWN if "T_100" in houses[0] else SHOWN_EXTERNAL
     measured = {name for name in MEASURES if name in houses[0]} | {*shown}
     needed = measured | {least for name in measured for least in _stands_in(name)}
     for house in houses:

@@ -1,7 +1,7 @@
 """Means with bootstrap intervals, as every table and figure of this project reports them.
 
 A sample is a matrix [run, house]; one run is a matrix of one row. NaN stands for no value
-(a ratio to a bound of 0): it is left out of means, houses are resampled with it.
+(a ratio to a bound of 0): means leave it out, resampling keeps it.
 The two-level bootstrap and the interquartile mean follow Agarwal et al. (arXiv 2108.13264).
 """
 
@@ -23,7 +23,7 @@ _BLOCK = 2_000_000  # indices held at once: bounds the memory at some tens of MB
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean and its interval; all three are None where no value exists."""
+    """A mean and its interval; both are None where no value exists."""
 
     mean: float | None
     ci95: tuple[float, float] | None
@@ -42,9 +42,9 @@ def estimate(values: Float[np.ndarray, "run house"], draws: int = DRAWS) -> Esti
 def bootstrap_means(
     values: Float[np.ndarray, "run house"], rng: np.random.Generator, draws: int
 ) -> Float[np.ndarray, " draw"]:
-    """The mean of each resample: runs with replacement, then houses anew within each of them.
+    """The mean of each resample: runs with replacement, then houses within each drawn run.
 
-    One run has no runs to draw from, so that its houses alone are resampled.
+    Of a single run only the houses are resampled.
     """
     runs, houses = values.shape
     drawn_runs = rng.integers(runs, size=(draws, runs))
@@ -53,9 +53,9 @@ def bootstrap_means(
     for place in range(runs):
         for start in range(0, draws, rows):
             block = slice(start, min(start + rows, draws))
-            of_run = drawn_runs[block, place]
-            drawn_houses = rng.integers(houses, size=(len(of_run), houses))
-            mean, exists = _row_means(values[of_run[:, None], drawn_houses])
+            run = drawn_runs[block, place]
+            drawn_houses = rng.integers(houses, size=(len(run), houses))
+            mean, exists = _row_means(values[run[:, None], drawn_houses])
             total[block] += mean
             counted[block] += exists
     return np.divide(total, counted, out=np.full(draws, np.nan), where=counted > 0)
@@ -68,33 +68,33 @@ def iqm(values: Float[np.ndarray, "run house"]) -> float | None:
 
 
 def paired_difference(
-    ours: Float[np.ndarray, "run house"],
-    theirs: Float[np.ndarray, "other_run other_house"],
+    values: Float[np.ndarray, "run house"],
+    baseline: Float[np.ndarray, "other_run other_house"],
     draws: int = DRAWS,
 ) -> Estimate:
-    """How much larger our mean is, house by house, with the interval of that difference.
+    """The mean of `values` minus `baseline`, house by house, with its interval.
 
-    A side of one run (a planner) stands beside every run of the other.
+    A side of one run (a planner) is paired with every run of the other.
     Raises BadInput where the houses differ in number, or the runs cannot be paired.
     """
-    return estimate(_differences(ours, theirs), draws)
+    return estimate(_differences(values, baseline), draws)
 
 
 def paired_p(
-    ours: Float[np.ndarray, "run house"],
-    theirs: Float[np.ndarray, "other_run other_house"],
+    values: Float[np.ndarray, "run house"],
+    baseline: Float[np.ndarray, "other_run other_house"],
 ) -> float:
-    """Two-sided p of a mean difference of 0, where runs and houses are both drawn from many.
+    """Two-sided p of a mean difference of 0, where runs and houses are both random samples.
 
         t = mean / sqrt(s_R^2 / R + s_H^2 / H),    R - 1 degrees of freedom, or H - 1 if fewer
 
-    s_R: standard deviation of the R runs' mean differences, s_H: of the H houses'. What both hold
-    is counted twice and the fewer degrees are taken, so that p errs to the careful side. One run
-    is no sample of runs: then the houses alone decide, and p is of these weights only.
+    s_R: standard deviation of the R runs' mean differences, s_H: of the H houses'. Variance that
+    both share is counted twice and the fewer degrees are taken, so that p is conservative. One run
+    is no sample of runs: then p is over houses alone, and holds for these weights only.
     Source: H. Clark, "The language-as-fixed-effect fallacy" (1973), whose min F' this t^2 is.
     Not the share of bootstrap means beyond 0: of three runs that agree in sign every resample does.
     """
-    differences = _differences(ours, theirs)
+    differences = _differences(values, baseline)
     errors, degrees = [], []
     for rows in (differences, differences.T):
         means, known = _row_means(rows)
@@ -110,7 +110,7 @@ def paired_p(
 
 
 def holm(values: Sequence[float]) -> list[float]:
-    """p-values corrected for being several: Holm's step-down (S. Holm, 1979), in their order.
+    """p-values corrected for multiple comparisons: Holm's step-down (S. Holm, 1979), in order.
 
     p'_(k) = max over j <= k of min(1, (m - j + 1) p_(j)),    p_(1) <= ... <= p_(m)
     """
@@ -123,17 +123,17 @@ def holm(values: Sequence[float]) -> list[float]:
 
 
 def _differences(
-    ours: Float[np.ndarray, "run house"], theirs: Float[np.ndarray, "other_run other_house"]
+    values: Float[np.ndarray, "run house"], baseline: Float[np.ndarray, "other_run other_house"]
 ) -> Float[np.ndarray, "runs house"]:
-    if ours.shape[1] != theirs.shape[1]:
+    runs, houses = values.shape
+    other_runs, other_houses = baseline.shape
+    if houses != other_houses:
         raise BadInput(
-            f"a paired difference needs the same houses, not {ours.shape[1]} and {theirs.shape[1]}"
+            f"a paired difference needs the same houses, not {houses} and {other_houses}"
         )
-    if ours.shape[0] != theirs.shape[0] and 1 not in (ours.shape[0], theirs.shape[0]):
-        raise BadInput(
-            f"{ours.shape[0]} runs beside {theirs.shape[0]}: give as many on both sides, or one"
-        )
-    return ours - theirs
+    if runs != other_runs and 1 not in (runs, other_runs):
+        raise BadInput(f"{runs} runs beside {other_runs}: give as many on both sides, or one")
+    return values - baseline
 
 
 def as_sample(runs: Sequence[Sequence[int | float | None]]) -> Float[np.ndarray, "run house"]:

@@ -1,4 +1,4 @@
-"""The table of an evaluation in the terminal: one row a policy."""
+"""The table of an evaluation in the terminal: one row per policy."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -28,14 +28,13 @@ def output() -> Console:
 def make_table(entries: Sequence[Entry]) -> Table:
     """Rows in the order given; each is compared with the yardstick on its own houses.
 
-    Of a task of others, returns.
+    The table of an external task holds returns alone.
     """
     first = entries[0]
     if "T_100" not in first["summary"]:
-        return make_table_of_returns(entries)
-    count = min(
-        len(entry["houses"]) for entry in entries
-    )  # several seeds played them several times
+        return make_returns_table(entries)
+    # The pooled entry of several seeds has every house once per seed.
+    count = min(len(entry["houses"]) for entry in entries)
     table = Table(
         title=f"{count} houses ({first['house_set']}), {first['n_agents']} robots",
         caption=CAPTION,
@@ -55,8 +54,8 @@ def make_table(entries: Sequence[Entry]) -> Table:
     return table
 
 
-def make_table_of_returns(entries: Sequence[Entry]) -> Table:
-    """Rows in the order given, for a task that knows nothing of cells."""
+def make_returns_table(entries: Sequence[Entry]) -> Table:
+    """Rows in the order given, for an external task, which has no cells."""
     first = entries[0]
     count = min(len(entry["houses"]) for entry in entries)
     table = Table(
@@ -109,5 +108,5 @@ def ratio_to(yardstick: Entry | None, entry: Entry, measure: str) -> str:
     """A policy's mean as a multiple of the yardstick's on the same houses."""
     if yardstick is None:
         return NONE
-    ours, theirs = (np.mean(sample([one["houses"]], measure)) for one in (entry, yardstick))
-    return f"{ours / theirs:.2f}" if theirs else NONE
+    mean, baseline = (np.mean(sample([e["houses"]], measure)) for e in (entry, yardstick))
+    return f"{mean / baseline:.2f}" if baseline else NONE

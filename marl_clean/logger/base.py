@@ -1,4 +1,4 @@
-"""Where the numbers of a training run go: into files, and before the eyes of who waits."""
+"""Where the metrics of a training run go: into files, and onto the terminal."""
 
 import sys
 import time
@@ -11,40 +11,40 @@ from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as Bar
 
 CLOCK = "time/"
-"""Names that start so depend on the clock: equal runs differ in them."""
+"""Prefix of the metrics that depend on the clock, in which equal runs differ."""
 
 SHOWN = ("loss", "epsilon", "coverage")
 
 
 class Logger(ABC):
-    """Keeps one row of named numbers for every so many frames."""
+    """Stores one row of named values per log interval."""
 
     @abstractmethod
     def resume(self, frames: int) -> None:
-        """Forget what was logged after `frames`: the run goes on from there."""
+        """Forget what was logged after `frames`: the run resumes there."""
 
     @abstractmethod
     def log(self, frames: int, values: Mapping[str, float]) -> None:
-        """Keep the values of a run that has played `frames` frames."""
+        """Log the values of a run after `frames` frames."""
 
     @abstractmethod
     def close(self) -> None:
-        """Put everything on the disk."""
+        """Write everything to the disk."""
 
 
 class Progress:
-    """Shows how far a run is: a bar where stderr is a terminal, else a line now and then.
+    """Shows a run's progress: a bar where stderr is a terminal, else a line now and then.
 
     Args:
         total_frames: the run's budget.
-        first_frames: those played before, by a run that this one goes on from.
+        first_frames: those collected before this process began, by a resumed run.
         every_seconds: between lines where there is no terminal.
     """
 
     def __init__(self, total_frames: int, first_frames: int, every_seconds: float = 30.0) -> None:
         self.total, self.first = total_frames, first_frames
         self.every_seconds = every_seconds
-        self.started = self.said = time.monotonic()
+        self.started = self.last_line_at = time.monotonic()
         self.latest: dict[str, float] = {}
         self.console = Console(stderr=True, soft_wrap=True)
         self.bar = Bar(
@@ -75,14 +75,14 @@ class Progress:
         return (frames - self.first) / max(time.monotonic() - self.started, 1e-9)
 
     def show(self, frames: int, values: Mapping[str, float]) -> None:
-        """Show a run that has played `frames` frames; what has no new value keeps its last."""
+        """Show a run after `frames` frames; a metric without a new value keeps its last."""
         self.latest |= values
         speed = self.frames_per_second(frames)
         parts = [f"{speed:,.0f} frames/s"]
         parts += [f"{name} {self.latest[name]:.3g}" for name in SHOWN if name in self.latest]
         self.bar.update(self.task, completed=frames, shown="  ".join(parts))
-        if self.bar.disable and time.monotonic() - self.said >= self.every_seconds:
-            self.said = time.monotonic()
+        if self.bar.disable and time.monotonic() - self.last_line_at >= self.every_seconds:
+            self.last_line_at = time.monotonic()
             left = (self.total - frames) / max(speed, 1e-9)
             self.say(f"{frames:,} of {self.total:,} frames  {'  '.join(parts)}  {left:.0f} s left")
 

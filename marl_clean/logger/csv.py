@@ -14,11 +14,11 @@ FRAMES = "frames"
 
 @final
 class Csv(Logger):
-    """Write `metrics.csv`, a column a name, empty where a row has no value.
+    """Write `metrics.csv`, one column per name, empty where a row has no value.
 
-    Values that depend on the clock are left out. A name that comes late adds a column, for which
-    the file is written anew; else rows are appended. What an interrupted run wrote beyond its
-    checkpoint is dropped when it resumes.
+    Values that depend on the clock are left out. A new name adds a column, for which the file is
+    rewritten; else rows are appended. What an interrupted run wrote beyond its checkpoint is
+    dropped when it resumes.
 
     Args:
         folder: the run's.
@@ -43,9 +43,9 @@ class Csv(Logger):
         kept = {name: value for name, value in values.items() if not name.startswith(CLOCK)}
         row = {FRAMES: str(frames)} | {name: repr(value) for name, value in kept.items()}
         self.rows.append(row)
-        late = [name for name in row if name not in self.columns]
-        if late:
-            self.columns += late
+        new = [name for name in row if name not in self.columns]
+        if new:
+            self.columns += new
             self._write_all()
         else:
             with self.path.open("a", newline="", encoding="utf-8") as file:

@@ -11,10 +11,9 @@ from marl_clean.logger.base import Logger
 
 @final
 class TensorBoard(Logger):
-    """Write every value, those of the clock too, into the run's folder `tensorboard`.
+    """Write every value, clock times included, into the run's folder `tensorboard`.
 
-    A run that goes on from a checkpoint writes the frames after it once more, with the same
-    values.
+    A resumed run writes the frames after its checkpoint once more, with the same values.
 
     Args:
         folder: the run's.

@@ -30,7 +30,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def draw_cells(axes: Axes, colours: UInt8[np.ndarray, "row col 3"]) -> None:
-    """A colour a cell, row 0 on top, cells square."""
+    """One colour per cell, row 0 on top, cells square."""
     rows, cols, _ = colours.shape
     if rows * cols > MOST_SQUARES:
         axes.imshow(colours, extent=(0, cols, rows, 0), interpolation="antialiased")
@@ -43,7 +43,7 @@ def draw_cells(axes: Axes, colours: UInt8[np.ndarray, "row col 3"]) -> None:
 
 
 def draw_robots(axes: Axes, positions: Sequence[Place], first: int = 0) -> None:
-    """Numbered discs, as in every other picture; `first` is the number of the first less one."""
+    """Numbered discs, as in every other picture; `first` is the index of the first robot."""
     for robot, (row, col) in enumerate(positions, start=first):
         axes.add_patch(
             matplotlib.patches.Circle(

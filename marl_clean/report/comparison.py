@@ -1,4 +1,4 @@
-"""Several policies beside each other: shares finished and times, with their intervals."""
+"""Policies side by side: shares of houses finished and times, with their intervals."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -21,7 +21,7 @@ Pair = tuple[Entry, Entry | None]  # the learned policy, and the planner in the 
 def draw_comparison(
     title: str, rows: Mapping[str, Pair], differences: Sequence[Mapping[str, Any]] = ()
 ) -> Figure:
-    """A row a policy: houses finished, T_90 and T_100; hollow: nearest_unknown in the same world.
+    """One row per policy: houses finished, T_90, T_100; hollow: nearest_unknown in the same world.
 
     Bars are 95 % intervals of the mean; a house not finished counts as its max_steps. With paired
     `differences` to one of the rows (`evaluation.paired`) all rows are of one world: times are
@@ -94,18 +94,18 @@ def _draw_measure(
 def _draw_differences(
     axes: Axes, labels: Sequence[str], differences: Sequence[Mapping[str, Any]], measure: str
 ) -> None:
-    """Paired differences of a time, in steps; filled where more than chance by itself."""
+    """Paired differences of a time, in steps; filled where p < 0.05 before correction."""
     axes.axvline(0, color=unit(INK), linewidth=0.8)
-    for one in differences:
-        place, found = labels.index(one["row"]), one[measure]
-        if found["mean"] is None:
+    for difference in differences:
+        place, result = labels.index(difference["row"]), difference[measure]
+        if result["mean"] is None:
             continue
-        axes.plot(found["ci95"], [place, place], color=unit(ROBOTS[1]), linewidth=1.5)
-        sure = found["p"] < LEVEL
+        axes.plot(result["ci95"], [place, place], color=unit(ROBOTS[1]), linewidth=1.5)
+        significant = result["p"] < LEVEL
         axes.plot(
-            found["mean"], place, "o", color=unit(ROBOTS[1]),
-            fillstyle="full" if sure else "none",
-            label="p < 0.05, uncorrected" if sure else "may be chance",
+            result["mean"], place, "o", color=unit(ROBOTS[1]),
+            fillstyle="full" if significant else "none",
+            label="p < 0.05, uncorrected" if significant else "may be chance",
         )  # fmt: skip
     _label(axes, f"{measure} minus reference's, steps")
 

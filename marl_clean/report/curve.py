@@ -1,6 +1,6 @@
 """`curve.png`: how a run learnt, from its metrics.csv.
 
-The file has a column `frames` and one for each thing logged, such as `train/loss` or
+The file has a column `frames` and one for each logged quantity, such as `train/loss` or
 `validation/T_90`; a cell is empty where nothing was logged at that frame. Columns with the same
 last name share a panel.
 """
@@ -27,16 +27,16 @@ TRAINING = "training"  # where a column's name has no first part
 COLOURS = {TRAINING: ROBOTS[0], "validation": ROBOTS[1]}
 MOST_PANELS = 8
 PANELS_A_ROW = 4
-FEW = 40  # points that are worth a mark each
+FEW = 40  # with at most so many points, each gets a mark
 
 Series = list[tuple[float, float]]  # (frames, value)
 
 
 def draw_curve(metrics: Path, path: Path, rival: Mapping[str, float] | None = None) -> None:
-    """Draw `metrics` into the picture `path`, with a rival's means as lines to get below.
+    """Draw `metrics` into the picture `path`, with a rival's means as horizontal lines.
 
-    `rival` is nearest_unknown, by the names of the measures. Raises BadInput where there is
-    nothing to draw.
+    `rival` holds nearest_unknown's means by the names of the measures. Raises BadInput where
+    there is nothing to draw.
     """
     content = io.BytesIO()
     with matplotlib.rc_context(STYLE):
@@ -45,7 +45,7 @@ def draw_curve(metrics: Path, path: Path, rival: Mapping[str, float] | None = No
 
 
 def read_metrics(metrics: Path) -> dict[str, Series]:
-    """Every column's points, without the empty cells. Raises BadInput for no table of frames."""
+    """Every column's points, empty cells left out. Raises BadInput without a column of frames."""
     try:
         with metrics.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
@@ -62,7 +62,7 @@ def read_metrics(metrics: Path) -> dict[str, Series]:
 
 
 def plot_curve(columns: Mapping[str, Series], rival: Mapping[str, float]) -> Figure:
-    """One panel for each thing, the most telling first."""
+    """One panel per quantity, the most informative first."""
     shown = panels(list(columns))[:MOST_PANELS]
     rows = -(-len(shown) // PANELS_A_ROW)
     figure = new_figure(2.6 * min(len(shown), PANELS_A_ROW), 2.2 * rows)
@@ -79,9 +79,9 @@ def plot_curve(columns: Mapping[str, Series], rival: Mapping[str, float]) -> Fig
 
 
 def panels(names: Sequence[str]) -> list[str]:
-    """The distinct last names, those of FIRST in its order before the others in theirs."""
-    found = list(dict.fromkeys(map(last, names)))
-    return [name for name in FIRST if name in found] + [n for n in found if n not in FIRST]
+    """The distinct last names: those in FIRST, in its order, then the others in theirs."""
+    distinct = list(dict.fromkeys(map(last, names)))
+    return [name for name in FIRST if name in distinct] + [n for n in distinct if n not in FIRST]
 
 
 def last(name: str) -> str:

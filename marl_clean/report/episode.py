@@ -1,4 +1,4 @@
-"""One episode as scenes, for whatever shows them: a GIF, the terminal, a figure."""
+"""One episode as scenes, to be shown in a GIF, in the terminal or in a figure."""
 
 from collections.abc import Iterator
 
@@ -30,7 +30,7 @@ def first_held_out(cfg: DictConfig) -> TransformedEnv:
     return held_out_env(cfg, build.held_out_houses(cfg, house_set, 1), house_set, num_envs=1)
 
 
-def frames(
+def rollout(
     env: TransformedEnv, policy_for: PolicyFor, epsilon: float = 0.0
 ) -> Iterator[TensorDictBase]:
     """The tensordicts of one episode of a single house, from the reset to the last step.
@@ -47,5 +47,5 @@ def frames(
 def scenes(env: TransformedEnv, policy_for: PolicyFor, epsilon: float = 0.0) -> Iterator[Scene]:
     """Every moment of one episode, from step 0 to the end."""
     base = env.base_env
-    for td in frames(env, policy_for, epsilon):
+    for td in rollout(env, policy_for, epsilon):
         yield scene_of(base.state, base.rules, 0, td[ADJACENCY])

@@ -30,7 +30,7 @@ from marl_clean.env.viewer import (
 from marl_clean.house.base import Houses
 from marl_clean.keys import OBSERVATION
 from marl_clean.report.axes import STYLE, draw_cells, draw_robots, new_figure, unit
-from marl_clean.report.episode import first_held_out, frames, policy_of
+from marl_clean.report.episode import first_held_out, policy_of, rollout
 from marl_clean.report.floor_plan import draw_floor_plan
 from marl_clean.report.network import Layer, draw_single, draw_together, watch_layers
 from marl_clean.world.rules import UNKNOWN_VALUE
@@ -55,13 +55,13 @@ def paper_1(cfg: DictConfig) -> Figure:
     houses = build.held_out_houses(cfg, cfg.evaluation.house_set, 2)
     for index, axes in enumerate(figure.subplots(1, 2)):
         house = index % len(houses)
-        draw_cells(axes, plan_colours(houses, house))
+        draw_cells(axes, house_colours(houses, house))
         axes.set_title(house_title(houses, house))
     return figure
 
 
 def houses(cfg: DictConfig) -> Figure:
-    """A sheet of held-out houses, each with its seed and its free cells, or one floor plan."""
+    """A sheet of held-out houses with their seeds and numbers of free cells, or one floor plan."""
     house = instantiate(cfg.house)
     if not house.generated:
         return draw_floor_plan(house.layout(0))
@@ -69,7 +69,7 @@ def houses(cfg: DictConfig) -> Figure:
     drawn = build.held_out_houses(cfg, cfg.evaluation.house_set, SHEET_ROWS * SHEET_COLS)
     for index, axes in enumerate(figure.subplots(SHEET_ROWS, SHEET_COLS).flat):
         if index < len(drawn):
-            draw_cells(axes, plan_colours(drawn, index))
+            draw_cells(axes, house_colours(drawn, index))
             axes.set_title(house_title(drawn, index), fontsize=6)
         else:
             axes.set_axis_off()
@@ -79,13 +79,13 @@ def houses(cfg: DictConfig) -> Figure:
 def paper_2(cfg: DictConfig) -> Figure:
     """The robots' memory, and the square of it that robot 1 sees (paper figure 2)."""
     env = first_held_out(cfg)
-    *_, moment = islice(frames(env, policy_of(cfg)), MEMORY_STEPS + 1)
+    *_, moment = islice(rollout(env, policy_of(cfg)), MEMORY_STEPS + 1)
     view = moment[OBSERVATION][0, 0, 0].cpu().numpy()
     scene = scene_of(env.base_env.state, env.base_env.rules, 0)
     figure = new_figure(7.4, 3.9)
-    memory, seen = figure.subplots(1, 2)
-    _draw_memory(memory, scene, len(view))
-    _draw_view(seen, view)
+    memory_axes, view_axes = figure.subplots(1, 2)
+    _draw_memory(memory_axes, scene, len(view))
+    _draw_view(view_axes, view)
     return figure
 
 
@@ -100,14 +100,14 @@ def paper_4(cfg: DictConfig) -> Figure:
 
 
 def _watched(cfg: DictConfig) -> tuple[list[Layer], TensorDictBase]:
-    """The layers of a run's network, or of an untrained one, at the moment of figure 2."""
+    """The layers of a run's network, or of an untrained network, at the moment of figure 2."""
     env = first_held_out(cfg)
     if cfg.checkpoint is not None:
         policy = build.load_policy(find_run(cfg.checkpoint), cfg.channel).to(cfg.device)
     else:
         torch.manual_seed(cfg.seed)
         policy = build.make_agent(cfg, env).policy()
-    *_, moment = islice(frames(env, policy_of(cfg)), MEMORY_STEPS + 1)
+    *_, moment = islice(rollout(env, policy_of(cfg)), MEMORY_STEPS + 1)
     return watch_layers(policy, moment)
 
 
@@ -120,7 +120,7 @@ FIGURES: dict[str, Callable[[DictConfig], Figure]] = {
 }
 
 
-def plan_colours(houses: Houses, index: int) -> UInt8[np.ndarray, "row col 3"]:
+def house_colours(houses: Houses, index: int) -> UInt8[np.ndarray, "row col 3"]:
     """One house of a stack from above, without its padding."""
     inside = slice(int(houses.rows[index])), slice(int(houses.cols[index]))
     free, furniture = houses.free[index][inside], houses.furniture[index][inside]
@@ -132,7 +132,7 @@ def plan_colours(houses: Houses, index: int) -> UInt8[np.ndarray, "row col 3"]:
 
 
 def house_title(houses: Houses, index: int) -> str:
-    """Where a house comes from and how large it is."""
+    """A house's seed or path, and its number of free cells."""
     source = houses.sources[index]
     origin = f"seed {source}" if isinstance(source, int) else str(source)
     return f"{origin}: {houses.free_cells[index]} cells"
@@ -148,7 +148,7 @@ def memory_colours(values: Float[np.ndarray, "row col"]) -> UInt8[np.ndarray, "r
 
 
 def _draw_memory(axes: Axes, scene: Scene, view_size: int) -> None:
-    """The whole map with robot 1's square in it; what lies outside the house is unknown too."""
+    """The whole map with robot 1's square in it; cells outside the house are unknown too."""
     corner = tuple(place - view_size // 2 for place in scene.positions[0])
     before = [max(0, -start) for start in corner]
     after = [
@@ -168,7 +168,7 @@ def _draw_memory(axes: Axes, scene: Scene, view_size: int) -> None:
 
 
 def _draw_view(axes: Axes, view: Float[np.ndarray, "row col"]) -> None:
-    """What goes into the network: the square in its colours, and encoded to digits."""
+    """The network's input: the square in its colours, with its values as digits."""
     draw_cells(axes, memory_colours(view))
     size = min(6.0, 70 / len(view))
     for (row, col), value in np.ndenumerate(view):
@@ -181,6 +181,6 @@ def _draw_view(axes: Axes, view: Float[np.ndarray, "row col"]) -> None:
 
 
 def digits(value: float) -> str:
-    """A map value in as few characters as say it: -1, -.2, .45, 1."""
+    """A map value in as few characters as possible: -1, -.2, .45, 1."""
     short = f"{value:.2f}".rstrip("0").rstrip(".")
     return short.replace("0.", ".") if short not in ("0", "-0") else "0"

@@ -1,4 +1,4 @@
-"""What became of a floor plan, as one figure: the region kept, those left out, what is blocked."""
+"""A floor plan as one figure: the region kept, the regions left out, what is blocked."""
 
 from pathlib import Path
 
@@ -12,13 +12,13 @@ from marl_clean.house.base import HouseLayout
 from marl_clean.report.axes import draw_cells, new_figure, unit
 
 LEFT_OUT: Colour = (204, 98, 160)
-PAGE_WIDTH, PAGE_HEIGHT, SMALLEST_SIDE = 11.0, 8.0, 4.0  # inches of the plan itself
+PAGE_WIDTH, PAGE_HEIGHT, SMALLEST_SIDE = 11.0, 8.0, 4.0  # inches of the drawing itself
 AROUND = 0.9  # inches for title and legend
-CHARACTER = 0.085  # inches of a title's character, so that a narrow plan has room for its line
+CHARACTER = 0.085  # inches per character of a title, so that it fits above a narrow floor plan
 
 
 def draw_floor_plan(layout: HouseLayout) -> Figure:
-    """The plan as large as the page allows, titled with the file's name, cells counted below."""
+    """The floor plan as large as the page allows, titled with the file's name and cell counts."""
     rows, cols = layout.free.shape
     line = layout.regions().describe(layout.cell_metres)
     scale = min(PAGE_WIDTH / cols, PAGE_HEIGHT / rows)
@@ -36,7 +36,7 @@ def draw_floor_plan(layout: HouseLayout) -> Figure:
 
 
 def floor_plan_colours(layout: HouseLayout) -> UInt8[np.ndarray, "row col 3"]:
-    """A colour a cell."""
+    """One colour per cell."""
     regions = layout.regions()
     colours = np.empty((*layout.free.shape, 3), dtype=np.uint8)
     colours[:] = WALL
@@ -49,7 +49,7 @@ def floor_plan_colours(layout: HouseLayout) -> UInt8[np.ndarray, "row col 3"]:
 
 
 def legend_of(layout: HouseLayout) -> dict[str, Colour]:
-    """What the colours mean: of those that the plan has."""
+    """The meaning of each colour that the floor plan has."""
     regions = layout.regions()
     unknown = layout.unknown if layout.unknown is not None else np.zeros_like(layout.free)
     furniture = layout.furniture > 0

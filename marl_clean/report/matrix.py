@@ -13,7 +13,7 @@ MEASURE = "T_90"
 
 
 def draw_matrix(cells: Mapping[tuple[str, str], Entry]) -> Figure:
-    """A cell for each (trained over, measured over): mean T_90, darker is slower."""
+    """One cell per (trained over, measured over): mean T_90, darker is slower."""
     rows = list(dict.fromkeys(row for row, _ in cells))
     columns = list(dict.fromkeys(column for _, column in cells))
     means = np.array(

@@ -1,7 +1,7 @@
-"""Figures 3 and 4 of the paper: the network, drawn from the modules themselves as they run.
+"""Figures 3 and 4 of the paper: the network, drawn from its modules as they run.
 
-Every layer with weights is watched while the policy looks at one real moment of a house, so what
-is drawn are the shapes that went through, the values that came out, and who was in contact.
+Every layer with weights is hooked while the policy acts on one real frame, so the figure shows the
+shapes and values of that forward pass, and which robots were in contact.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,12 +33,12 @@ class Layer:
 
     Attributes:
         part: the part of the network that it belongs to: encoder, comm, join or head.
-        what: what it is, in words.
-        shape: what came out of it for one robot (or for all of them, where they are joined).
+        label: its kind and size, in words.
+        shape: its output's for one robot (or for all of them, where they are joined).
     """
 
     part: str
-    what: str
+    label: str
     shape: tuple[int, ...]
 
     @property
@@ -47,12 +47,12 @@ class Layer:
 
 
 def watch_layers(policy: nn.Module, moment: TensorDictBase) -> tuple[list[Layer], TensorDictBase]:
-    """Run a policy once and return its layers in the order they ran, and what it answered."""
+    """Run a policy once; return its layers in the order they ran, and its output."""
     network: nn.Module = policy.network  # type: ignore[assignment]
     layers: list[Layer] = []
 
     def note(name: str) -> Callable[..., None]:
-        def hook(module: nn.Module, given: tuple[Tensor, ...], result: Tensor) -> None:
+        def hook(module: nn.Module, inputs: tuple[Tensor, ...], result: Tensor) -> None:
             shape = result.shape[-3:] if isinstance(module, nn.Conv2d) else result.shape[-1:]
             layers.append(Layer(name.partition(".")[0], describe(name, module), tuple(shape)))
 
@@ -65,15 +65,15 @@ def watch_layers(policy: nn.Module, moment: TensorDictBase) -> tuple[list[Layer]
     ]
     try:
         with torch.no_grad():
-            answered = policy(moment.clone())
+            output = policy(moment.clone())
     finally:
         for handle in handles:
             handle.remove()
-    return layers, answered
+    return layers, output
 
 
 def describe(name: str, module: nn.Module) -> str:
-    """A layer in a few words: its place in the network, kind and size."""
+    """A layer's label: its place in the network, kind and size."""
     if isinstance(module, nn.Conv2d):
         side, stride = module.kernel_size[0], module.stride[0]
         return f"conv {side}x{side}" + (f" / {stride}" if stride != 1 else "")
@@ -81,49 +81,50 @@ def describe(name: str, module: nn.Module) -> str:
     return f"{block[0]} FCL" if block and name.startswith("comm") else "FCL"
 
 
-def draw_single(layers: Sequence[Layer], answered: TensorDictBase) -> Figure:
+def draw_single(layers: Sequence[Layer], output: TensorDictBase) -> Figure:
     """One robot's state through convolutions and fully connected layers to Q-values (figure 3)."""
-    own = [layer for layer in layers if not _is_of_others(layer)]
+    own = [layer for layer in layers if not _is_communication(layer)]
     figure, axes = _canvas(len(own), lanes=1)
-    end = _draw_lane(axes, 0, _state_of(answered, 0), own)
-    _draw_values(axes, end, 0, _values_of(answered, 0))
+    end = _draw_lane(axes, 0, _state_of(output, 0), own)
+    _draw_values(axes, end, 0, _values_of(output, 0))
     axes.set_title("from what a robot sees to the values of its actions", loc="left")
     return figure
 
 
-def draw_together(layers: Sequence[Layer], answered: TensorDictBase) -> Figure:
-    """Robot 1's network together with what the others send it (figure 4); a lane a robot.
+def draw_together(layers: Sequence[Layer], output: TensorDictBase) -> Figure:
+    """Robot 1's network together with what the others send it (figure 4); one lane per robot.
 
-    An arrow from another robot's lane is solid where a message goes over it at this moment.
+    An arrow from another robot's lane is solid where a message passes over it at this moment.
     """
     encoder = [layer for layer in layers if layer.part == "encoder"]
-    sending = [layer for layer in layers if _is_of_others(layer)]
+    sending = [layer for layer in layers if _is_communication(layer)]
     rest = [layer for layer in layers if layer not in encoder and layer not in sending]
-    n_agents = answered[OBSERVATION].shape[1]
-    central = JOINT_ACTION_VALUE in answered.keys(True)
+    n_agents = output[OBSERVATION].shape[1]
+    central = JOINT_ACTION_VALUE in output.keys(True)
     figure, axes = _canvas(len(encoder) + len(sending) + len(rest), lanes=n_agents)
-    heard = _heard(answered, central)
+    is_received = _is_received(output, central)
     after = 1 + len(encoder) + len(sending)
-    meets = after + next(i for i, layer in enumerate(rest) if not layer.what.startswith("own"))
+    meets = after + next(i for i, layer in enumerate(rest) if not layer.label.startswith("own"))
     for robot in range(n_agents):
         shown = encoder if robot == 0 else [*encoder, *sending]
-        end = _draw_lane(axes, robot, _state_of(answered, robot), shown)
+        end = _draw_lane(axes, robot, _state_of(output, robot), shown)
         if robot > 0:
-            _draw_arrow(axes, (end, -LANE * robot), (STEP * meets - 0.3, -0.7), heard[robot])
+            _draw_arrow(axes, (end, -LANE * robot), (STEP * meets - 0.3, -0.7), is_received[robot])
     end = _draw_lane(axes, 0, None, rest, first=after)
     _draw_arrow(axes, (STEP * len(encoder) + 0.65, 0.0), (STEP * after - 0.5, 0.0), True)
-    values = _joint_values_of(answered) if central else _values_of(answered, 0)
+    values = _joint_values_of(output) if central else _values_of(output, 0)
     _draw_values(axes, end, 0, values)
-    told = "all states into one network"
-    if not central:
-        told = f"messages of {answered[MESSAGE].shape[-1]} floats"
-    axes.set_title(f"{n_agents} robots, {told}", loc="left")
+    if central:
+        kind = "all states into one network"
+    else:
+        kind = f"messages of {output[MESSAGE].shape[-1]} floats"
+    axes.set_title(f"{n_agents} robots, {kind}", loc="left")
     return figure
 
 
-def _is_of_others(layer: Layer) -> bool:
-    """Tell whether a layer makes or takes in a message, rather than the robot's own features."""
-    return layer.part == "comm" and layer.what.split()[0] in ("message", "received")
+def _is_communication(layer: Layer) -> bool:
+    """Whether a layer computes or processes messages, rather than the robot's own features."""
+    return layer.part == "comm" and layer.label.split()[0] in ("message", "received")
 
 
 def _canvas(layers: int, lanes: int) -> tuple[Figure, Axes]:
@@ -175,7 +176,7 @@ def _draw_state(axes: Axes, row: float, robot: int, state: Float[np.ndarray, "..
 
 
 def _draw_layer(axes: Axes, col: float, row: float, layer: Layer, largest: int) -> None:
-    """Planes one behind the other for a convolution, a bar for a fully connected layer."""
+    """Stacked planes for a convolution, a bar for a fully connected layer."""
     shade = SHADES[{"encoder": 0, "head": 2}.get(layer.part, 1)]
     if layer.is_image:
         side = max(0.3, 0.95 * layer.shape[-1] / largest)
@@ -188,7 +189,7 @@ def _draw_layer(axes: Axes, col: float, row: float, layer: Layer, largest: int) 
         _box(axes, col, row, 0.3, high, shade)
         low = high / 2
     size = " x ".join(map(str, layer.shape))
-    _write(axes, col, row - low - 0.22, f"{layer.what}\n{size}")
+    _write(axes, col, row - low - 0.22, f"{layer.label}\n{size}")
 
 
 def _draw_values(axes: Axes, end: float, robot: int, values: dict[str, float]) -> None:
@@ -221,27 +222,27 @@ def _write(axes: Axes, col: float, row: float, text: str) -> None:
     axes.text(col, row, text, fontsize=6.5, ha="center", va="top", color=unit(INK))
 
 
-def _state_of(answered: TensorDictBase, robot: int) -> Float[np.ndarray, "..."]:
-    seen = answered[OBSERVATION][0, robot].cpu().numpy()
-    return seen[0] if seen.ndim == 3 else seen
+def _state_of(output: TensorDictBase, robot: int) -> Float[np.ndarray, "..."]:
+    observation = output[OBSERVATION][0, robot].cpu().numpy()
+    return observation[0] if observation.ndim == 3 else observation
 
 
-def _values_of(answered: TensorDictBase, robot: int) -> dict[str, float]:
-    return dict(zip(ACTIONS, answered[ACTION_VALUE][0, robot].tolist(), strict=True))
+def _values_of(output: TensorDictBase, robot: int) -> dict[str, float]:
+    return dict(zip(ACTIONS, output[ACTION_VALUE][0, robot].tolist(), strict=True))
 
 
-def _joint_values_of(answered: TensorDictBase, most: int = 8) -> dict[str, float]:
-    """The best joint actions, as many as there is room for."""
-    values = answered[JOINT_ACTION_VALUE][0]
+def _joint_values_of(output: TensorDictBase, most: int = 8) -> dict[str, float]:
+    """The `most` best joint actions and their values."""
+    values = output[JOINT_ACTION_VALUE][0]
     best = values.topk(min(most, len(values)))
-    parts = decode_joint(best.indices, answered[OBSERVATION].shape[1]).tolist()
+    parts = decode_joint(best.indices, output[OBSERVATION].shape[1]).tolist()
     names = [" ".join(map(str, actions)) for actions in parts]
     return dict(zip(names, best.values.tolist(), strict=True))
 
 
-def _heard(answered: TensorDictBase, central: bool) -> list[bool]:
-    """Tell whose features or messages robot 1's part of the network gets now."""
-    live = answered[ADJACENCY][0, 0].tolist()
+def _is_received(output: TensorDictBase, central: bool) -> list[bool]:
+    """Which robots' features or messages robot 1's part of the network receives now."""
+    live = output[ADJACENCY][0, 0].tolist()
     if central:
         return [True] * len(live)
-    return [edge and answered[MESSAGE].shape[-1] > 0 for edge in live]
+    return [edge and output[MESSAGE].shape[-1] > 0 for edge in live]

@@ -13,7 +13,7 @@ from marl_clean.report.episode import first_held_out, scenes
 from marl_clean.storage import files
 
 MAX_BYTES = 2_000_000
-MOST_FRAMES = 256  # also bounds the memory: they are all held until their palette is known
+MOST_FRAMES = 256  # bounds the memory too: all are held until their palette is known
 COLOURS = 64
 FRAME_MILLISECONDS = 100
 LAST_FRAME_MILLISECONDS = 2_500  # time to read the end before it starts again
@@ -21,16 +21,16 @@ PANEL_PIXELS = 320  # the longer side of a panel, about
 
 
 def make_replay(cfg: DictConfig, policy_for: PolicyFor, path: Path, epsilon: float = 0.0) -> None:
-    """Play the first held-out house of `cfg` and write it to `path` as a GIF below 2 MB."""
+    """Write an episode in the first held-out house of `cfg` to `path` as a GIF below 2 MB."""
     write_gif(path, scenes(first_held_out(cfg), policy_for, epsilon))
 
 
-def write_gif(path: Path, moments: Iterable[Scene], max_bytes: int = MAX_BYTES) -> None:
-    """Write the moments as a GIF; of many, or where it grows too large, every k-th of them.
+def write_gif(path: Path, episode: Iterable[Scene], max_bytes: int = MAX_BYTES) -> None:
+    """Write the scenes as a GIF, or every k-th of them if they are many or the file is too large.
 
     The first and the last are always shown. The file appears whole or not at all.
     """
-    pictures = coded(drawn(moments))
+    pictures = coded(drawn(episode))
     stride = 1
     while True:
         shown = [*pictures[:-1:stride], pictures[-1]]
@@ -42,12 +42,12 @@ def write_gif(path: Path, moments: Iterable[Scene], max_bytes: int = MAX_BYTES) 
     files.write_file(path, [content])
 
 
-def drawn(moments: Iterable[Scene]) -> list[Image.Image]:
-    """The first moment's picture, every k-th after it, and the last; k grows as they come."""
+def drawn(episode: Iterable[Scene]) -> list[Image.Image]:
+    """Pictures of the first scene, of every k-th after it, and of the last; k grows on the way."""
     pictures: list[Image.Image] = []
     stride = 1
-    left_out = None  # the newest moment, where it has no picture
-    for index, scene in enumerate(moments):
+    left_out = None  # the newest scene, if it has no picture
+    for index, scene in enumerate(episode):
         left_out = scene if index % stride else None
         if left_out is None:
             pictures.append(picture_of(scene))

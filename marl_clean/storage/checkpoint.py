@@ -3,7 +3,7 @@
 A checkpoint is a folder `<kind>-<frames>` of three files:
 
     tensors.safetensors  every tensor, under its path in the tree
-    state.json           kind, frames, notes, and the tree with names in the tensors' places
+    state.json           kind, frames, notes, and the tree with names in place of tensors
     manifest.json        length and sha256 of the other two
 
 It is written under a fresh name, read again, and only then are older ones pruned. Reading takes
@@ -27,9 +27,9 @@ from marl_clean.storage import files
 from marl_clean.storage.manifest import (
     FOLDER,
     MANIFEST,
-    OF_WEIGHTS,
     STATE,
     TENSORS,
+    WEIGHT_KINDS,
     Damaged,
     canonical,
     make_manifest,
@@ -50,13 +50,13 @@ DTYPES = {
     torch.uint8: "U8",
     torch.bool: "BOOL",
 }
-CHANNEL = "channel."  # what the names of weights begin with that a channel has learnt
+CHANNEL = "channel."  # prefix of the names of weights that a channel has learnt
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What was saved: when, what was noted beside it, and the tree itself."""
+    """One saved state of a run: its frames, notes beside it, and the tree itself."""
 
     frames: int
     notes: dict[str, Any]
@@ -68,7 +68,7 @@ class Checkpoints:
 
     Args:
         folder: where they are; made when the first is saved.
-        keep: how many of a kind stay; with two, a damaged one has one before it.
+        keep: how many of a kind stay; with two, a damaged one has a predecessor.
     """
 
     def __init__(self, folder: Path, keep: int = 2) -> None:
@@ -79,7 +79,7 @@ class Checkpoints:
         """Save a tree of dicts, lists, tensors and numbers; then prune older ones of its kind.
 
         Raises:
-            BadInput: the disk refuses, or gives back something else; older ones stay.
+            BadInput: the disk refuses, or returns something else; older ones stay.
         """
         path = self.folder / f"{kind}-{frames:012d}"
         tensors: dict[str, Tensor] = {}
@@ -88,7 +88,7 @@ class Checkpoints:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             files.clear_leftovers(self.folder)
-            if self._holds(path):  # of a run that went on from it: the same frames, the same state
+            if self._holds(path):  # a resumed run comes here again: same frames, same state
                 return
             contents = {TENSORS: _safetensors(tensors), STATE: [text]}
             files.write_folder(path, contents, MANIFEST, make_manifest)
@@ -101,7 +101,7 @@ class Checkpoints:
             files.remove_folder(old)
 
     def _holds(self, path: Path) -> bool:
-        """Tell whether there is a sound checkpoint at `path`; a damaged one is removed."""
+        """Whether there is an undamaged checkpoint at `path`; a damaged one is removed."""
         if not path.exists():
             return False
         try:
@@ -117,20 +117,20 @@ class Checkpoints:
         A damaged one is passed over with one line in the log.
 
         Raises:
-            BadInput: all there are, are damaged.
+            BadInput: every one of them is damaged.
         """
-        found = paths(self.folder, kind)
-        for path in found:
+        candidates = paths(self.folder, kind)
+        for path in candidates:
             try:
                 return _read(path)
             except Damaged as error:
                 log.warning("%s is damaged (%s): going back to the one before", path, error)
-        if found:
+        if candidates:
             raise BadInput(f"{self.folder}: every {kind} checkpoint is damaged; start a new run")
         return None
 
     def forget_after(self, frames: int) -> None:
-        """Remove what was saved after `frames`: a run that goes on from there saves it anew."""
+        """Remove what was saved after `frames`: a run that resumes there saves it again."""
         for path in paths(self.folder):
             if int(path.name.rpartition("-")[2]) > frames:
                 files.remove_folder(path)
@@ -148,27 +148,27 @@ def load_weights(run: Path) -> Checkpoint:
         BadInput: the run has saved none, or they are damaged.
     """
     checkpoints = Checkpoints(run / FOLDER)
-    for kind in OF_WEIGHTS:
-        found = checkpoints.newest(kind)
-        if found is not None:
-            return found
+    for kind in WEIGHT_KINDS:
+        checkpoint = checkpoints.newest(kind)
+        if checkpoint is not None:
+            return checkpoint
     raise BadInput(f"{run}: has no weights yet; train it until its first evaluation")
 
 
 def fit_weights(network: nn.Module, weights: Any, source: Path) -> None:
-    """Put saved weights into a network, all of them or none.
+    """Load saved weights into a network in place, all of them or none.
 
-    A channel's own may differ: what this network's channel lacks is left out, and what it would
-    have learnt stays as it is.
+    Only a channel's weights may differ: those that this network lacks are ignored, and its own that
+    were not saved keep their values.
 
     Raises:
         BadInput: names, shapes or types differ from the network's, or a weight is not finite.
     """
     own = network.state_dict()
     if isinstance(weights, dict):
-        of_channel = {name: w for name, w in own.items() if name.startswith(CHANNEL)}
-        of_others = {name: w for name, w in weights.items() if not name.startswith(CHANNEL)}
-        weights = of_others | {name: weights.get(name, w) for name, w in of_channel.items()}
+        channel = {name: w for name, w in own.items() if name.startswith(CHANNEL)}
+        rest = {name: w for name, w in weights.items() if not name.startswith(CHANNEL)}
+        weights = rest | {name: weights.get(name, w) for name, w in channel.items()}
     if not isinstance(weights, dict) or weights.keys() != own.keys():
         raise BadInput(f"{source}: holds the weights of another network; same config needed")
     for name, weight in own.items():
@@ -185,7 +185,7 @@ def fit_weights(network: nn.Module, weights: Any, source: Path) -> None:
 
 
 def _encode(tree: Any, path: str, tensors: dict[str, Tensor]) -> Any:
-    """Turn a tree into JSON; its tensors go to `tensors`, under their paths."""
+    """Turn a tree into JSON; its tensors are added to `tensors` in place, under their paths."""
 
     def named(pairs: Iterable[tuple[Any, Any]]) -> list[Any]:
         return [[key, _encode(value, f"{path}/{key}", tensors)] for key, value in pairs]
@@ -253,5 +253,5 @@ def _read(path: Path) -> Checkpoint:
         tree = _decode(state["tree"], tensors)
         return Checkpoint(int(state["frames"]), dict(state["notes"]), tree)
     except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
-        # A stranger's checkpoint can have a manifest that holds and still be anything.
+        # A valid manifest does not mean that somebody else's file is a checkpoint.
         raise Damaged(f"not a checkpoint of ours, {type(error).__name__}") from error

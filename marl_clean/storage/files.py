@@ -1,4 +1,4 @@
-"""Every write that must survive a crash: the old content or the new, never something between.
+"""Atomic writes: a crash leaves the old content or the new, never a mixture.
 
 A file or a folder is written under a hidden name beside its final one, flushed to the disk and
 renamed; then the folder around it is flushed. What a crash leaves is a hidden name, which
@@ -58,7 +58,9 @@ def write_folder(
     shutil.rmtree(hidden, ignore_errors=True)
     try:
         hidden.mkdir()
-        digests = {name: _write_flushed(hidden / name, made) for name, made in contents.items()}
+        digests = {
+            name: _write_flushed(hidden / name, content) for name, content in contents.items()
+        }
         _write_flushed(hidden / summary, [summarise(digests)])
         _flush(hidden)
         os.rename(hidden, path)
@@ -69,7 +71,7 @@ def write_folder(
 
 
 def remove_folder(path: Path) -> None:
-    """Remove a folder so that no crash leaves half of it under its name."""
+    """Remove a folder atomically: no crash leaves half of it under its name."""
     hidden = _hidden(path)
     shutil.rmtree(hidden, ignore_errors=True)
     os.rename(path, hidden)

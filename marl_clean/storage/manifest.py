@@ -17,45 +17,45 @@ from marl_clean.storage import files
 
 FOLDER = "checkpoints"
 TENSORS, STATE, MANIFEST = "tensors.safetensors", "state.json", "manifest.json"
-OF_WEIGHTS = ("best", "final")  # the kinds that hold weights alone, in the order of preference
+WEIGHT_KINDS = ("best", "final")  # kinds that hold weights alone, in order of preference
 SCHEMA = 1
 LARGEST_JSON = 16 << 20
 NAME = re.compile(r"([a-z]+)-(\d{12})")
 
 
 class Damaged(Exception):
-    """A checkpoint that is not what was written; the message says in which way."""
+    """A checkpoint that is not what was written; the message says how."""
 
 
 def paths(folder: Path, kind: str | None = None) -> list[Path]:
     """The checkpoints of a kind, or of all, in a folder, newest first."""
     matches = ((NAME.fullmatch(path.name), path) for path in folder.glob("*-*"))
-    found = [(m[2], m[1], path) for m, path in matches if m and kind in (None, m[1])]
-    return [path for _, _, path in sorted(found, reverse=True)]
+    checkpoints = [(m[2], m[1], path) for m, path in matches if m and kind in (None, m[1])]
+    return [path for _, _, path in sorted(checkpoints, reverse=True)]
 
 
 def verify(path: Path) -> dict[str, files.Digest]:
-    """Hold every file against the manifest; return what each is.
+    """Check every file against the manifest; return their digests.
 
-    Raises Damaged where one is not what was written.
+    Raises Damaged where a file is not what was written.
     """
     manifest = read_json(path / MANIFEST)
-    found = {}
+    digests = {}
     for name in (TENSORS, STATE):
         if (path / name).is_symlink() or not (path / name).is_file():
             raise Damaged(f"{name} is missing")
-        found[name] = files.digest_of(path / name)
-    if make_manifest(found) != canonical(manifest):
+        digests[name] = files.digest_of(path / name)
+    if make_manifest(digests) != canonical(manifest):
         raise Damaged("the manifest does not hold")
-    return found
+    return digests
 
 
 def weights_sha256(run: Path) -> str:
-    """The sha256 of the weights that a run's policy has: the best, else the last.
+    """The sha256 of a run's weights: the best, else the last.
 
-    Raises BadInput where it has none that are whole.
+    Raises BadInput where it has no undamaged ones.
     """
-    for kind in OF_WEIGHTS:
+    for kind in WEIGHT_KINDS:
         for path in paths(run / FOLDER, kind):
             try:
                 return verify(path)[TENSORS].sha256
@@ -65,8 +65,8 @@ def weights_sha256(run: Path) -> str:
 
 
 def count_weights(run: Path) -> int | None:
-    """How many numbers the weights of a run's policy are; None where it has no readable ones."""
-    for kind in OF_WEIGHTS:
+    """The number of parameters of a run's policy; None where it has no readable weights."""
+    for kind in WEIGHT_KINDS:
         for path in paths(run / FOLDER, kind):
             try:
                 with (path / TENSORS).open("rb") as file:
@@ -88,7 +88,7 @@ def make_manifest(digests: Mapping[str, files.Digest]) -> bytes:
 
 
 def canonical(tree: Any) -> bytes:
-    """JSON of which there is one for each tree."""
+    """The one canonical JSON of a tree: keys sorted, no spaces."""
     return json.dumps(tree, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
 

@@ -36,18 +36,20 @@ def load_yaml(path: Path) -> Any:
 
 
 def check_plain(text: str, path: Path, deepest: int) -> None:
-    """Read yaml as events alone, which builds nothing, before anybody loads it.
+    """Check yaml as a stream of events, which builds nothing, before it is loaded.
 
     Raises BadInput for anchors and aliases, for sections nested deeper than `deepest` and for a
-    key that stands twice in one section, and yaml.YAMLError for what is no yaml.
+    key that stands twice in one section, and yaml.YAMLError for invalid yaml.
     """
     depth = 0
     sections = _OpenSections()
     for event in yaml.parse(text, Loader=yaml.BaseLoader):
         if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
             raise BadInput(f"{path}: yaml anchors and aliases are not read; write the values out")
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
         if depth > deepest:
             raise BadInput(f"{path}: not plain yaml, nested more than {deepest} sections deep")
         if (twice := sections.repeated(event)) is not None:
@@ -55,7 +57,7 @@ def check_plain(text: str, path: Path, deepest: int) -> None:
 
 
 class _OpenSections:
-    """Follows the events of a yaml, and knows which keys every open section has had."""
+    """Follows the events of a yaml and the keys that each open section has had so far."""
 
     def __init__(self) -> None:
         self.open: list[_Section] = []

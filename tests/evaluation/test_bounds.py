@@ -78,8 +78,8 @@ def test_walks_equal_a_plain_search(shape):
     free = rng.random((6, *shape)) < 0.7
     free[:, 0, 0] = free[:, -1, -1] = True
     starts = np.tile([[[0, 0], [shape[0] - 1, shape[1] - 1]]], (6, 1, 1))
-    found = walking_distance(free, starts)
+    distance = walking_distance(free, starts)
     for house in range(6):
         plain = plain_walk(free[house], [(0, 0), (shape[0] - 1, shape[1] - 1)])
         for place in np.ndindex(shape):
-            assert found[house][place] == plain.get(place, -1)
+            assert distance[house][place] == plain.get(place, -1)

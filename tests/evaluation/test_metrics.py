@@ -53,7 +53,7 @@ def played(env: CleaningEnv, actions, certify: bool = False, bits: int = 0) -> R
     env.reset()
     recorder = Recorder(env, certify)
     step = 0
-    while recorder.playing.any():
+    while recorder.running.any():
         td = TensorDict(batch_size=env.batch_size)
         td[ADJACENCY] = in_view(env.state.position, VIEW)
         if bits:
@@ -86,7 +86,7 @@ def test_random_play_is_measured_as_the_plain_world_measures_it(n_agents, certif
     env.reset()
     starts = env.state.position.tolist()
     env.set_seed(n_agents)  # the same starts again
-    found = played(env, lambda step: drawn[step], certify).records()
+    records = played(env, lambda step: drawn[step], certify).records()
     settings = reference.Settings(stuck_after=None, view_size=VIEW, memory=memory, max_steps=400)
     for index, picture in enumerate(HOUSES):
         free = [[mark == "." for mark in line] for line in picture.split()]
@@ -96,10 +96,10 @@ def test_random_play_is_measured_as_the_plain_world_measures_it(n_agents, certif
         if not certify:
             del expected["T_certify"]
         for name, value in expected.items():
-            assert found[index][name] == pytest.approx(value and float(value)), (index, name)
-            assert isinstance(value, int) == isinstance(found[index][name], int), name
-        assert found[index]["max_steps"] == world.max_steps
-    assert not certify or any(record["T_certify"] for record in found)
+            assert records[index][name] == pytest.approx(value and float(value)), (index, name)
+            assert isinstance(value, int) == isinstance(records[index][name], int), name
+        assert records[index]["max_steps"] == world.max_steps
+    assert not certify or any(record["T_certify"] for record in records)
 
 
 def test_a_corridor_by_hand():
@@ -192,7 +192,7 @@ def test_moving_furniture_is_measured_as_in_the_plain_world_and_has_no_bounds():
     env.reset()
     starts, moves = env.state.position[0].tolist(), env.state.furniture_moves[0].tolist()
     env.set_seed(2)
-    (found,) = played(env, lambda step: drawn[step]).records()
+    (record,) = played(env, lambda step: drawn[step]).records()
     lines = picture.split()
     world = reference.World(
         [[mark == "." for mark in line] for line in lines],
@@ -203,10 +203,10 @@ def test_moving_furniture_is_measured_as_in_the_plain_world_and_has_no_bounds():
     )
     expected = reference.measures(reference.play(world, drawn[:, 0].tolist()))
     del expected["T_certify"]
-    assert {name: found[name] for name in expected} == pytest.approx(
+    assert {name: record[name] for name in expected} == pytest.approx(
         {name: value and float(value) for name, value in expected.items()}
     )
-    assert found["bound_100"] is None and found["ratio_90"] is None
+    assert record["bound_100"] is None and record["ratio_90"] is None
 
 
 def test_no_step_has_no_rate():

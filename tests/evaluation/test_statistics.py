@@ -48,10 +48,10 @@ def test_bootstrap_equals_the_plain_loop(runs, missing, monkeypatch):
 
 def test_interval_of_one_run_is_the_normal_one_of_the_mean():
     values = np.random.default_rng(2).normal(10.0, 3.0, size=(1, 400))
-    found = estimate(values)
+    result = estimate(values)
     half = norm.ppf(0.975) * values.std() / 20
-    assert found.mean == pytest.approx(values.mean())
-    assert found.ci95 == pytest.approx((values.mean() - half, values.mean() + half), abs=0.03)
+    assert result.mean == pytest.approx(values.mean())
+    assert result.ci95 == pytest.approx((values.mean() - half, values.mean() + half), abs=0.03)
 
 
 def test_runs_that_differ_widen_the_interval_though_their_houses_agree():

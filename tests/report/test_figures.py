@@ -13,7 +13,7 @@ from marl_clean.env import viewer
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses
 from marl_clean.report import figures
-from marl_clean.report.figures import digits, draw_figure, memory_colours, plan_colours
+from marl_clean.report.figures import digits, draw_figure, house_colours, memory_colours
 
 SMALL = ["house.rows=[5, 6]", "house.cols=[7, 9]", "env.max_steps=30", "observation.view_size=5"]
 
@@ -41,7 +41,7 @@ def test_a_plan_is_drawn_without_the_padding_of_its_stack(rows, cols):
     free[0, 0, 2] = free[0, 2, 1] = False
     furniture[0, 2, 1] = 1
     sizes = np.array([rows]), np.array([cols])
-    colours = plan_colours(Houses(free, furniture, *sizes, starts=None, sources=[1]), 0)
+    colours = house_colours(Houses(free, furniture, *sizes, starts=None, sources=[1]), 0)
     assert colours.shape == (rows, cols, 3)
     assert tuple(colours[0, 2]) == viewer.WALL and tuple(colours[2, 1]) == viewer.FURNITURE
     is_floor = np.ones((rows, cols), dtype=bool)
