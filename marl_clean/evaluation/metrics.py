@@ -48,7 +48,7 @@ class Recorder:
         self.rows, self.cols = state.rows.clone(), state.cols.clone()
         self.max_steps, self.num_free = state.max_steps.clone(), state.num_free.clone()
 
-        def full(value: float, *shape: int, dtype: torch.dtype = torch.int64) -> Tensor:
+        def full(value: int | float, *shape: int, dtype: torch.dtype = torch.int64) -> Tensor:
             return torch.full((num_envs, *shape), value, dtype=dtype, device=device)
 
         cells = state.blocked[0].numel()
