@@ -33,7 +33,7 @@ def entries(network: RobotsNetwork, frame: TensorDictBase) -> Entries:
 
 def _what_to_append(network: RobotsNetwork, lacking: Sequence[NestedKey]) -> str:
     names = ", ".join(str(key[-1]) for key in lacking)
-    own = "or play in marl_clean.make_env(checkpoint=RUN), which has all that a run's policy needs"
+    own = "or use marl_clean.make_env(checkpoint=RUN), which has all that a run's policy needs"
     if set(lacking) <= {*network.carries}:
         return (
             f"policy: carries {names} from step to step, and this env does not hold it;"

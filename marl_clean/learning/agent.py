@@ -15,7 +15,7 @@ from marl_clean.channel.base import Channel
 Count = int
 """Of robots or actions; handed over by whoever builds the learner, so never a config key."""
 Channels = Mapping[str, Channel]
-"""What messages cross, the first nearest to the sender; handed over in the same way."""
+"""What messages cross, the first nearest to the sender; handed over likewise."""
 
 
 class Agent(ABC):
@@ -63,7 +63,7 @@ class Agent(ABC):
         """Return the policy that collects experience; `action_spec` is the env's, all keys."""
 
     def measures(self) -> dict[str, float]:
-        """Return what there is to tell of exploration now, for the log."""
+        """Return numbers of the present exploration, for the log."""
         return {}
 
     @abstractmethod
@@ -83,7 +83,7 @@ class Agent(ABC):
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
-        """Return all that learning goes on from, as dicts and lists of tensors and numbers."""
+        """Return all that learning resumes from, as dicts and lists of tensors and numbers."""
 
     @abstractmethod
     def load_state_dict(self, state: dict[str, Any]) -> None:

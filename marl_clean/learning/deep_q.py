@@ -60,7 +60,7 @@ class DeepQ(Agent):
         augment: learn from each frame rotated or mirrored, alike for all its robots.
         messages: in learning, made anew by the present weights, or those that were sent; of the
             next frame they are always made anew.
-        next_graph: who talks to whom in the next frame: as it was then, or as in this one.
+        next_graph: the edges of the next frame: its own, or those of this frame.
         state_shape: of the true state, for learners that need it.
         n_agents: robots in a world.
         num_actions: actions of a robot.
@@ -127,8 +127,8 @@ class DeepQ(Agent):
     def learns_from(self) -> Sequence[NestedKey]:
         later = (*self.sees, keys.REWARD, keys.DONE, keys.TERMINATED)
         begins = (keys.IS_INIT,) if self.unrolls else ()
-        said = (keys.MESSAGE,) if self.messages == "replayed" else ()
-        return (*self.sees, keys.ACTION, *begins, *said, *(("next", key) for key in later))
+        sent = (keys.MESSAGE,) if self.messages == "replayed" else ()
+        return (*self.sees, keys.ACTION, *begins, *sent, *(("next", key) for key in later))
 
     @property
     @abstractmethod
@@ -255,7 +255,7 @@ class DeepQ(Agent):
         frames = batch.select(*self.learns_from, keys.STEPS_TO_NEXT_OBS)
         if self.augment:
             now, then = frames[keys.OBSERVATION], frames["next", keys.OBSERVATION]
-            (now, then), action = symmetry.turn_in_eighths([now, then], frames[keys.ACTION])
+            (now, then), action = symmetry.rotate_in_eighths([now, then], frames[keys.ACTION])
             frames[keys.OBSERVATION], frames["next", keys.OBSERVATION] = now, then
             frames[keys.ACTION] = action
         if self.next_graph == "reused":
@@ -278,7 +278,7 @@ class DeepQ(Agent):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a state of `state_dict`, exactly."""
+        """Resume exactly from a state of `state_dict`."""
         self.network.load_state_dict(state["network"])
         for module, weights in zip(
             self._beside_network(), state.get("only_in_learning", ()), strict=True

@@ -8,6 +8,26 @@ from torch import Tensor
 
 from marl_clean.channel.base import Channel, Step
 from marl_clean.comm.base import Delivery
+from marl_clean.errors import BadInput
+
+
+def state_keys(channels: Sequence[Channel], names: Sequence[str]) -> tuple[NestedKey, ...]:
+    """Return the keys by which the channels of a stack remember, in their order.
+
+    Raises:
+        BadInput: two of them remember by one key, and would overwrite each other's state.
+    """
+    owners: dict[NestedKey, str] = {}
+    for channel, name in zip(channels, names, strict=True):
+        key = channel.remembers
+        if key is not None and key in owners:
+            raise BadInput(
+                f"channel={name}: remembers by {key}, as {owners[key]} does, and overwrites"
+                " its state; valid: one channel for each key, or another key in `remembers`"
+            )
+        if key is not None:
+            owners[key] = name
+    return tuple(owners)
 
 
 class Stacked(Delivery):
@@ -44,10 +64,10 @@ class Stacked(Delivery):
 
     def states_after(self) -> dict[NestedKey, Tensor]:
         """Return what channels carry to the next step, each under the key that it remembers by."""
-        came = zip(self.channels, self.steps, self.messages, self.edges, strict=True)
+        inputs = zip(self.channels, self.steps, self.messages, self.edges, strict=True)
         return {
             channel.remembers: channel.state_after(step, messages, edges)
-            for channel, step, messages, edges in came
+            for channel, step, messages, edges in inputs
             if channel.remembers is not None
         }
 

@@ -16,14 +16,14 @@ from marl_clean.channel.delayed import Later
 from marl_clean.channel.perfect import Perfect
 from marl_clean.comm.base import Comm, Delivery, NoisyWhileLearning, Talk
 from marl_clean.encoder.base import Encoder
-from marl_clean.learning.delivery import Repeated, Stacked
+from marl_clean.learning.delivery import Repeated, Stacked, state_keys
 from marl_clean.settings import Precision
 
 Entries = Mapping[NestedKey, Tensor]
 """Entries of frames, by the keys that they have there."""
 
 NUM_ACTIONS = 4
-"""Up, right, down, left (paper §3.2); there is no way to stay."""
+"""Up, right, down, left (paper §3.2); there is no action to stay."""
 
 
 def duel(value: Float[Tensor, "*batch one_and_actions"]) -> Float[Tensor, "*batch action"]:
@@ -118,8 +118,8 @@ class RobotsNetwork(nn.Module):
         """Find out what the channels need of a frame."""
         self.draws = any(channel.draws for channel in self.stack)
         memory = () if self.encoder.memory is None else (keys.HIDDEN,)
-        remembered = (channel.remembers for channel in self.stack)
-        self.carries = (*memory, *(key for key in remembered if key is not None))
+        behind = (type(channel).__name__ for channel in self.stack[len(self.channel) :])
+        self.carries = (*memory, *state_keys(self.stack, [*self.channel, *behind]))
         drawn = (keys.CHANNEL_SEED,) if self.draws else ()
         self.sees = (keys.OBSERVATION, keys.ADJACENCY, keys.DISTANCE_RANK, *drawn, *self.carries)
         self.history = max(len(memory), sum(channel.steps_late for channel in self.stack))
@@ -192,13 +192,13 @@ class RobotsNetwork(nn.Module):
         """
         feature = self.encode(seen[keys.OBSERVATION])
         time = begins.ndim - 2
-        given = [key for key in self.sees if key not in (keys.OBSERVATION, *self.carries)]
+        not_carried = [key for key in self.sees if key not in (keys.OBSERVATION, *self.carries)]
         carried: Entries = {key: seen[key].select(time, 0) for key in self.carries}
         outputs = []
         for t in range(begins.shape[time]):
             if t > 0:
                 carried = _begun_anew(carried, begins.select(time, t).squeeze(-1))
-            now = {**{key: seen[key].select(time, t) for key in given}, **carried}
+            now = {**{key: seen[key].select(time, t) for key in not_carried}, **carried}
             sent_now = None if sent is None else sent.select(time, t)
             out, _, carried = self.decide(feature.select(time, t), now, sent_now)
             outputs.append(out)

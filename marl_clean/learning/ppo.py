@@ -99,8 +99,8 @@ class Ppo(Agent):
     messages are made anew in the loss, so gradients cross live edges. Measured and watched is the
     most likely action. The critic is for learning alone.
 
-    What draws while it learns (dropout, dial's noise, ic3net's gate) does not while it plays, so
-    there ratios differ from 1 even in the first step on a block.
+    What draws while it learns (dropout, dial's noise, ic3net's gate) does not while it collects, so
+    ratios differ from 1 even in the first step on a block.
 
     Args:
         encoder, comm, channels: the policy's parts; the critic gets an encoder of the same kind.
@@ -227,17 +227,17 @@ class Ppo(Agent):
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Take one step of Adam on a minibatch: frames, or rows `[env, time]` if it unrolls."""
         set_noise(self._noisy, True)
-        found = self._loss(batch)
-        loss = found["loss_objective"] + found["loss_entropy"] + found["loss_critic"]
+        losses = self._loss(batch)
+        loss = losses["loss_objective"] + losses["loss_entropy"] + losses["loss_critic"]
         self._optimiser.zero_grad()
         loss.backward()
         grad_norm = nn.utils.clip_grad_norm_(self._parameters, self.max_grad_norm)
         self._optimiser.step()
         set_noise(self._noisy, False)
         names = ("entropy", "kl_approx", "clip_fraction")
-        told = {name: found[name].detach() for name in names}
-        critic = found["loss_critic"].detach()
-        return {"loss": loss.detach(), "loss_critic": critic, "grad_norm": grad_norm, **told}
+        measures = {name: losses[name].detach() for name in names}
+        critic = losses["loss_critic"].detach()
+        return {"loss": loss.detach(), "loss_critic": critic, "grad_norm": grad_norm, **measures}
 
     def state_dict(self) -> dict[str, Any]:
         """Return the weights of policy and critic, and Adam's moments."""
@@ -248,7 +248,7 @@ class Ppo(Agent):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a state of `state_dict`, exactly."""
+        """Resume exactly from a state of `state_dict`."""
         self.network.load_state_dict(state["network"])
         self.critic.load_state_dict(state["critic"])
         self._optimiser.load_state_dict(state["optimiser"])

@@ -1,8 +1,8 @@
 """The eight symmetries of the square, for what robots see and for what they do.
 
-A house turned or mirrored is as good a house, so a transition turned or mirrored is as good a
-transition. Element g in 0..7 mirrors left and right if g >= 4, then turns g % 4 quarters to the
-left (counterclockwise).
+A house rotated or mirrored is as good a house, so a transition rotated or mirrored is as good a
+transition. Element g in 0..7 mirrors left and right if g >= 4, then rotates by g % 4 quarters
+counterclockwise.
 """
 
 import torch
@@ -14,19 +14,19 @@ MIRRORED = (0, 3, 2, 1)
 """The action that does in the mirrored house what up, right, down, left do in the first."""
 
 
-def turn_square(
+def rotate_square(
     square: Float[Tensor, "*batch row col"], element: int
 ) -> Float[Tensor, "*batch row col"]:
-    """Return squares mirrored and turned by one element of the group."""
+    """Return squares mirrored and rotated by one element of the group."""
     if element >= 4:
         square = square.flip(-1)
     return torch.rot90(square, element % 4, (-2, -1))
 
 
-def turn_action(action: Int[Tensor, "*batch"], element: int) -> Int[Tensor, "*batch"]:
-    """Return the actions that do in the turned squares what these do in the first.
+def rotate_action(action: Int[Tensor, "*batch"], element: int) -> Int[Tensor, "*batch"]:
+    """Return the actions that do in the rotated squares what these do in the first.
 
-    A quarter to the left turns right into up: (row, col) moves 0 (-1, 0), 1 (0, 1), 2 (1, 0),
+    A quarter counterclockwise makes up of right: (row, col) moves 0 (-1, 0), 1 (0, 1), 2 (1, 0),
     3 (0, -1) become those of (action - quarters) mod 4.
     """
     if element >= 4:
@@ -34,21 +34,21 @@ def turn_action(action: Int[Tensor, "*batch"], element: int) -> Int[Tensor, "*ba
     return (action - element % 4) % 4
 
 
-def turn_in_eighths(
+def rotate_in_eighths(
     squares: list[Float[Tensor, "frame ... row col"]], action: Int[Tensor, "frame ..."]
 ) -> tuple[list[Float[Tensor, "frame ... row col"]], Int[Tensor, "frame ..."]]:
-    """Turn the k-th eighth of a batch by the k-th element: squares and actions alike.
+    """Rotate the k-th eighth of a batch by the k-th element: squares and actions alike.
 
     For a batch drawn at random, frame by frame, every frame's element is thereby random too,
     at the cost of eight copies and without a draw.
     """
-    turned_squares = [torch.empty_like(square) for square in squares]
-    turned_action = torch.empty_like(action)
+    rotated_squares = [torch.empty_like(square) for square in squares]
+    rotated_action = torch.empty_like(action)
     for element, part in enumerate(_eighths(len(action))):
-        for square, turned in zip(squares, turned_squares, strict=True):
-            turned[part] = turn_square(square[part], element)
-        turned_action[part] = turn_action(action[part], element)
-    return turned_squares, turned_action
+        for square, rotated in zip(squares, rotated_squares, strict=True):
+            rotated[part] = rotate_square(square[part], element)
+        rotated_action[part] = rotate_action(action[part], element)
+    return rotated_squares, rotated_action
 
 
 def _eighths(length: int) -> list[slice]:

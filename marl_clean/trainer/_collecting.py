@@ -60,7 +60,7 @@ class CarriedCollector(Collector):
         self._carrier.update(state)  # what states of earlier versions lack is as after a reset
 
     def begin_anew(self) -> None:
-        """Leave the episodes that are being played, and begin others."""
+        """Leave the present episodes, and begin others."""
         self._carrier.update(self.env.reset())
 
 

@@ -18,7 +18,7 @@ class Curriculum:
     N houses are open. With one stage nothing is done to the env.
 
     Attributes:
-        stage: the one that is played, from 1.
+        stage: the present one, from 1.
     """
 
     def __init__(self, stages: int, promote_at: float, window_episodes: int) -> None:
@@ -35,7 +35,7 @@ class Curriculum:
             )
 
     def open_houses(self, env: EnvBase) -> None:
-        """Let new episodes be played in the houses of the stages so far."""
+        """Let new episodes take place in the houses of the stages so far."""
         if self.stages > 1:
             count = len(env.houses)
             env.open_houses(-(-self.stage * count // self.stages))
@@ -55,7 +55,7 @@ class Curriculum:
             self.open_houses(env)
 
     def measures(self) -> dict[str, int]:
-        """Return what a row of metrics tells of it."""
+        """Return what a row of metrics records of it."""
         return {"stage": self.stage} if self.stages > 1 else {}
 
     def state(self) -> dict[str, Any]:

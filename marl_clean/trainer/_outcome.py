@@ -9,7 +9,7 @@ class Outcome:
     """What became of a run.
 
     Attributes:
-        frames, updates: played and learnt in all.
+        frames, updates: collected and done in all.
         best: frames and measures of the weights chosen on validation houses; None without any.
         was_finished: nothing was left to do.
     """

@@ -37,7 +37,7 @@ class Trainer(ABC):
     """Train an agent in a budget of frames.
 
     Every block of frames: collect with exploration, and learn. At fixed frames: log, evaluate and
-    keep the best weights, save the state. The same call goes on from the newest state, exactly:
+    keep the best weights, save the state. The same call resumes exactly from the newest state:
     on a CPU with one thread its weights and rows are those of the uninterrupted run. Only where the
     env cannot be saved in the middle of its episodes (`goes_on_exactly`) does it begin new ones.
     """
@@ -173,7 +173,7 @@ class TrainingLoop(ABC):
 
     @abstractmethod
     def own_state(self) -> dict[str, Any]:
-        """Return what this loop goes on from beside what all have."""
+        """Return what this loop resumes from beside what all have."""
 
     @abstractmethod
     def restore_own(self, state: Mapping[str, Any]) -> None:
@@ -186,7 +186,7 @@ class TrainingLoop(ABC):
         if ended or self.due(self.settings.eval_interval_frames, self.evaluated):
             try:
                 row = self.measure(interrupts)
-            except Stopped:  # done anew when the run goes on
+            except Stopped:  # done anew when the run is resumed
                 return
         if row or self.due(self.settings.log_interval_frames, self.logged):
             row |= self.tally.means() | {
@@ -223,12 +223,12 @@ class TrainingLoop(ABC):
         return self.frames - last >= interval
 
     def save(self) -> None:
-        """Save everything that the run goes on from."""
+        """Save everything that the run resumes from."""
         self._weights()
         self.saved = self.frames
         state = {
             "counters": {name: getattr(self, name) for name in COUNTERS},
-            "best": self.best.found,
+            "best": self.best.record,
             "agent": self.agent.state_dict(),
             "env": dict(self.env.base_env.state_dict()),
             "carried": self.collector.state(),
@@ -240,7 +240,7 @@ class TrainingLoop(ABC):
         self.checkpoints.save("state", self.frames, state, {})
 
     def resume(self) -> None:
-        """Go on from the newest state, if there is one."""
+        """Resume from the newest state, if there is one."""
         newest = self.checkpoints.newest("state")
         if newest is not None:
             self._restore(newest.tree)
@@ -254,13 +254,13 @@ class TrainingLoop(ABC):
         device = self.env.device
         for name, value in state["counters"].items():
             setattr(self, name, value)
-        self.best.found = state["best"]
+        self.best.record = state["best"]
         self.agent.load_state_dict(state["agent"])
         self.env.base_env.load_state_dict(state["env"])
         if self.env.base_env.goes_on_exactly:
             self.collector.restore(state["carried"].to(device))
         else:
-            log.warning("frame %d: goes on with new episodes; env cannot save its own", self.frames)
+            log.warning("frame %d: resumes with new episodes; env cannot save its own", self.frames)
             self.collector.begin_anew()
         self.restore_own(state)
         self.tally.restore(state["tally"])

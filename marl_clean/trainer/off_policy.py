@@ -33,15 +33,15 @@ class OffPolicy(Trainer):
 
     Args:
         total_frames: the run's length; a frame is one step of one world with all its robots.
-        frames_per_batch: frames played between learning; a multiple of the number of worlds.
+        frames_per_batch: frames collected between learning; a multiple of the number of worlds.
         buffer_frames: frames remembered.
         batch_frames: frames in one update.
         replay_ratio: frames learnt from for each new one.
-        start_frames: frames played before the first update.
+        start_frames: frames collected before the first update.
         log_interval_frames, eval_interval_frames, checkpoint_interval_frames: how often.
         window_frames: frames in a row of one world that a network learns from together which
             carries something from step to step: a memory, or messages under way. Its first frame
-            starts from what was carried when it was played, and gradients cross the others.
+            starts from what was carried when it was collected, and gradients cross the others.
         select_by: the measure on validation houses by which the best weights are chosen.
         curriculum_stages, curriculum_promote_at, curriculum_window_episodes: see `Curriculum`.
     """

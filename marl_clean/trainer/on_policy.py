@@ -18,12 +18,12 @@ from marl_clean.trainer.base import Evaluate, Trainer, TrainingLoop
 
 @final
 class OnPolicy(Trainer):
-    """Train an agent from what it has just played, in a budget of frames.
+    """Train an agent from what it has just collected, in a budget of frames.
 
     Every block of frames: collect with exploration, estimate advantages, learn from the block
     `epochs` times in minibatches drawn anew. A network that carries something from step to step
     learns from worlds' rows of the whole block, the first frame starting from what was carried
-    when it was played. All else as in `Trainer`.
+    when it was collected. All else as in `Trainer`.
 
     Args:
         total_frames: the run's length; a frame is one step of one world with all its robots.

@@ -123,12 +123,12 @@ def test_weights_of_two_robots_do_not_play_with_three(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("override", "said"),
+    ("override", "expected"),
     [
         ("comm=plan", "comm=plan: does not fit agent=central_dqn; valid: none"),
         ("reward=individual", "reward=individual: does not fit agent=central_dqn; valid: team"),
     ],
 )
-def test_levels_that_do_not_fit_are_refused(override, said):
-    with pytest.raises(BadInput, match=f"^{said}$"):
+def test_levels_that_do_not_fit_are_refused(override, expected):
+    with pytest.raises(BadInput, match=f"^{expected}$"):
         check_fit(compose_config([*CENTRAL, override]))

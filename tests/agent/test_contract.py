@@ -233,7 +233,7 @@ def block_of_one_world() -> tuple[list, list, list, TensorDict]:
 def test_advantages_bootstrap_what_is_cut_and_not_what_ends(learner):
     agent = make_learner(learner, "plan")
     rewards, terminated, done, block = block_of_one_world()
-    found = agent.advantages(block)
+    estimated = agent.advantages(block)
     with torch.no_grad():
         value = agent.critic(block[keys.OBSERVATION])[0, :, :, 0].tolist()
         later = agent.critic(block["next", keys.OBSERVATION])[0, :, :, 0].tolist()
@@ -244,10 +244,10 @@ def test_advantages_bootstrap_what_is_cut_and_not_what_ends(learner):
             bootstrap = 0.0 if terminated[t] else gamma * later[t][robot]
             delta = rewards[t][robot] + bootstrap - value[t][robot]
             advantage = delta + (0.0 if done[t] else gamma * lmbda * advantage)
-            assert found[keys.ADVANTAGE][0, t, robot, 0].item() == pytest.approx(
+            assert estimated[keys.ADVANTAGE][0, t, robot, 0].item() == pytest.approx(
                 advantage, abs=1e-5
             )
-            target = found[keys.VALUE_TARGET][0, t, robot, 0].item()
+            target = estimated[keys.VALUE_TARGET][0, t, robot, 0].item()
             assert target == pytest.approx(advantage + value[t][robot], abs=1e-5)
 
 

@@ -132,7 +132,7 @@ def test_exploration_draws_a_coin_for_each_robot_and_falls_linearly():
         assert torch.equal(explore(batch.clone())[keys.ACTION], greedy)
 
 
-def test_augmented_batches_teach_the_turned_house():
+def test_augmented_batches_teach_the_rotated_house():
     agent = make_agent("plan", augment=True)
     batch = transitions(16)
     learnt = agent._frames_to_learn(batch)

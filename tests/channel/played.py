@@ -76,14 +76,14 @@ def frames(steps: int, *batch: int, n_agents: int, share: float = 0.5, seed: int
     return Frames(*draw(steps, *batch, n_agents=n_agents, share=share, seed=seed), drawn)
 
 
-def play(net: RobotsNetwork, given: Frames) -> list[Talk]:
+def play(net: RobotsNetwork, inputs: Frames) -> list[Talk]:
     """What is said and made of it in each step, nothing carried into the first."""
-    batch, n_agents = given.seed.shape[1:-1], given.seed.shape[-1]
+    batch, n_agents = inputs.seed.shape[1:-1], inputs.seed.shape[-1]
     specs = net.state_specs(n_agents)
     carried = {key: specs[key].zero(batch) for key in net.carries}
     carried = {key: c.double() if c.is_floating_point() else c for key, c in carried.items()}
     talks = []
-    for feature, live, rank, seed in zip(*given, strict=True):
+    for feature, live, rank, seed in zip(*inputs, strict=True):
         seen = {keys.ADJACENCY: live, keys.DISTANCE_RANK: rank, keys.CHANNEL_SEED: seed}
         _, talk, carried = net.decide(feature, seen | carried)
         talks.append(talk)
@@ -94,8 +94,8 @@ def features(talks: list[Talk]) -> Tensor:
     return torch.stack([talk.feature for talk in talks])
 
 
-def relabelled(given: Frames, order: Tensor) -> Frames:
-    feature, live, rank, seed = given
+def relabelled(inputs: Frames, order: Tensor) -> Frames:
+    feature, live, rank, seed = inputs
     return Frames(
         feature[..., order, :],
         live[..., order, :][..., order],

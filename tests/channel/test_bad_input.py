@@ -6,7 +6,7 @@ from marl_clean import cli
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "expected"),
     [
         (["channel=lossy", "channel.lossy.loss=1.5"], "channel.lossy.loss: must be a number"),
         (["channel=quantised", "channel.quantised.bits=0"], "channel.quantised.bits: must be a"),
@@ -37,9 +37,9 @@ from marl_clean import cli
         (["evaluation.team_sizes=[2,99]"], "evaluation.team_sizes: 99: "),
     ],
 )
-def test_one_line_and_no_folder(tmp_path, monkeypatch, capsys, settings, said) -> None:
+def test_one_line_and_no_folder(tmp_path, monkeypatch, capsys, settings, expected) -> None:
     monkeypatch.chdir(tmp_path)
     assert cli.main(["train", "train_houses=4", "env.num_envs=128", *settings]) == 2
     error = capsys.readouterr().err
-    assert error.count("\n") == 1 and said in error
+    assert error.count("\n") == 1 and expected in error
     assert not list(tmp_path.iterdir())

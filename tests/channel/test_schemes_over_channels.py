@@ -41,20 +41,20 @@ for_all = pytest.mark.parametrize("level", SCHEMES)
 @over_all
 @for_all
 def test_robots_relabelled_with_their_draws_relabel_the_result(level: str, stack: Stack) -> None:
-    net, given = network(make(level), stack), frames(3, 6, n_agents=5)
+    net, inputs = network(make(level), stack), frames(3, 6, n_agents=5)
     order = torch.randperm(5, generator=torch.Generator().manual_seed(1))
-    theirs = play(net, relabelled(given, order))
-    for mine, other in zip(play(net, given), theirs, strict=True):
+    theirs = play(net, relabelled(inputs, order))
+    for mine, other in zip(play(net, inputs), theirs, strict=True):
         for one, same in zip(mine[:4], other[:4], strict=True):
             torch.testing.assert_close(one[..., order, :], same)
 
 
 @over_all
 def test_a_batch_is_its_worlds_one_by_one(stack: Stack) -> None:
-    net, given = network(make("commnet"), stack), frames(3, 4, n_agents=3)
-    together = features(play(net, given))
+    net, inputs = network(make("commnet"), stack), frames(3, 4, n_agents=3)
+    together = features(play(net, inputs))
     for world in range(4):
-        alone = features(play(net, Frames(*(x[:, world] for x in given))))
+        alone = features(play(net, Frames(*(x[:, world] for x in inputs))))
         torch.testing.assert_close(together[:, world], alone)
 
 
@@ -66,19 +66,19 @@ def test_nothing_crosses_where_no_edge_was_ever_live(level: str, stack: Stack) -
 
 def nothing_crosses_where_no_edge_was_ever_live(comm: Comm, stack: Stack) -> None:
     """Not even NaN, and no gradient; told by the edges of all steps so far."""
-    net, given = network(comm, stack), frames(3, 6, n_agents=6, share=0.15)
-    so_far = given.live.cumsum(0) > 0
-    before = features(play(net, given))
+    net, inputs = network(comm, stack), frames(3, 6, n_agents=6, share=0.15)
+    so_far = inputs.live.cumsum(0) > 0
+    before = features(play(net, inputs))
     sender = 0
     deaf = ~within(so_far, comm.rounds)[..., sender]
     assert deaf[-1].any()
-    feature = given.feature.clone().requires_grad_()
-    features(play(net, given._replace(feature=feature)))[deaf].sum().backward()
+    feature = inputs.feature.clone().requires_grad_()
+    features(play(net, inputs._replace(feature=feature)))[deaf].sum().backward()
     assert not feature.grad[..., sender, :].any()
-    poisoned = given.feature.clone()
+    poisoned = inputs.feature.clone()
     poisoned[..., sender, :] = torch.nan
     poisoned.requires_grad_()
-    after = features(play(net, given._replace(feature=poisoned)))
+    after = features(play(net, inputs._replace(feature=poisoned)))
     assert torch.equal(after[deaf], before[deaf])
     after[deaf].sum().backward()
     untouched = ~within(so_far[-1], 2 * comm.rounds)[..., sender]
@@ -95,13 +95,13 @@ def test_nobody_hears_for_free_and_prices_are_those_of_the_channels(
 
 def nobody_hears_for_free(comm: Comm, stack: Stack) -> None:
     """Whom a robot's words of one step move, then or later, is at most who was paid for."""
-    net, given = network(comm, stack), frames(3, 20, n_agents=5, share=0.7)
-    talks = play(net, given)
+    net, inputs = network(comm, stack), frames(3, 20, n_agents=5, share=0.7)
+    talks = play(net, inputs)
     price = min([comm.bits_per_number, *(w.bits_per_number or 32 for w in net.stack)])
     numbers = sum(comm.numbers(round_index) for round_index in range(comm.rounds)) / max(
         1, comm.rounds
     )
-    for talk, live in zip(talks, given.live, strict=True):
+    for talk, live in zip(talks, inputs.live, strict=True):
         edges = talk.edges.sum(-1, keepdim=True)
         assert torch.equal(talk.bits, price * numbers * edges)
         assert (edges <= comm.rounds * live.sum(-2).unsqueeze(-1)).all()
@@ -111,12 +111,12 @@ def nobody_hears_for_free(comm: Comm, stack: Stack) -> None:
         return  # others pass on what they heard, and pay for it themselves
     before = features(talks)
     for sender in (1, 2):
-        moved = given.feature.clone()
+        moved = inputs.feature.clone()
         moved[0, :, sender] = -2 * moved[0, :, sender] + 1
-        others = play(net, given._replace(feature=moved))
+        others = play(net, inputs._replace(feature=moved))
         heard = (features(others) != before).any(-1).any(0)
         heard[:, sender] = False
-        assert not heard[~given.live[0, :, :, sender]].any()
+        assert not heard[~inputs.live[0, :, :, sender]].any()
         paid = torch.maximum(talks[0].edges, others[0].edges)  # it may speak in one of both only
         assert (heard.sum(-1) <= paid[:, sender].sum(-1)).all()
 
@@ -131,15 +131,15 @@ def test_rounds_reach_as_many_hops_and_no_further(level: str, channel: str) -> N
     place = torch.arange(length)
     apart = (place - place[:, None]).abs()
     rank = apart.mul(2).add(place > place[:, None]).argsort(-1).argsort(-1)
-    given = frames(steps, 16, n_agents=length)
-    given = given._replace(
-        live=(apart == 1).expand(given.live.shape), rank=rank.expand(given.rank.shape)
+    inputs = frames(steps, 16, n_agents=length)
+    inputs = inputs._replace(
+        live=(apart == 1).expand(inputs.live.shape), rank=rank.expand(inputs.rank.shape)
     )
-    before = features(play(net, given))[-1]
+    before = features(play(net, inputs))[-1]
     for sender in (0, 2):
-        moved = given.feature.clone()
+        moved = inputs.feature.clone()
         moved[:, :, sender] += 1
-        after = features(play(net, given._replace(feature=moved)))[-1]
+        after = features(play(net, inputs._replace(feature=moved)))[-1]
         changed = (after != before).any(-1).any(0)
         assert not changed[apart[sender] > comm.rounds].any()
         if channel in NEUTRAL:
@@ -152,9 +152,9 @@ def test_at_its_neutral_setting_a_channel_changes_nothing(level: str, channel: s
     """In a world that stands still, seen after all delays."""
     comm = make(level)
     once = frames(1, 8, n_agents=4, share=0.7)
-    given = Frames(*(x.expand(1 + comm.rounds * 2, *x.shape[1:]) for x in once))
-    plain = features(play(network(comm, {}), given))[-1]
-    crossed = features(play(network(comm, {channel: NEUTRAL[channel]}), given))[-1]
+    inputs = Frames(*(x.expand(1 + comm.rounds * 2, *x.shape[1:]) for x in once))
+    plain = features(play(network(comm, {}), inputs))[-1]
+    crossed = features(play(network(comm, {channel: NEUTRAL[channel]}), inputs))[-1]
     rough = {"quantised": 2e-3, "noisy": 1e-5}.get(channel, 1e-7)
     torch.testing.assert_close(crossed, plain, atol=rough, rtol=rough)
 
@@ -178,12 +178,12 @@ def test_silence_is_heard_as_silence_and_costs_nothing(stack: Stack) -> None:
 def silence_is_heard_as_silence(stack: Stack) -> None:
     torch.manual_seed(0)
     comm = Mute()
-    net, given = network(comm, stack), frames(4, 8, n_agents=4, share=0.9)
+    net, inputs = network(comm, stack), frames(4, 8, n_agents=4, share=0.9)
     for each in net.stack:
         for weight in each.parameters():
             torch.nn.init.ones_(weight)
-    talks = play(net, given)
-    alone = play(net, given._replace(live=torch.zeros_like(given.live)))
+    talks = play(net, inputs)
+    alone = play(net, inputs._replace(live=torch.zeros_like(inputs.live)))
     assert torch.equal(features(talks), features(alone))
     assert not any(talk.bits.any() or talk.edges.any() for talk in talks)
 
@@ -192,6 +192,6 @@ def silence_is_heard_as_silence(stack: Stack) -> None:
 def test_a_shut_gate_learns_over_every_channel(channel: str) -> None:
     torch.manual_seed(0)
     comm = Mute()
-    net, given = network(comm, {channel: NEUTRAL[channel]}), frames(4, 8, n_agents=4, share=0.9)
-    features(play(net, given)).sum().backward()
+    net, inputs = network(comm, {channel: NEUTRAL[channel]}), frames(4, 8, n_agents=4, share=0.9)
+    features(play(net, inputs)).sum().backward()
     assert comm.shut.grad.isfinite().all() and comm.shut.grad.any()

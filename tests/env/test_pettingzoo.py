@@ -316,7 +316,7 @@ def test_an_interrupted_run_goes_on_with_new_episodes(
     assert len(first) == len(set(first)) == 6 * (1 + 480 // 6 // 10)
     begun.clear()
     train(tmp_path / "mine", *short)
-    assert "goes on with new episodes" in caplog.text
+    assert "resumes with new episodes" in caplog.text
     # All copies begin when they are made; at frame 240, saved, each was in its fifth episode.
     assert begun[:6] == first[:6]
     assert begun[6:12] == first[6 * 5 : 6 * 6]

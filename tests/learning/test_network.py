@@ -3,6 +3,9 @@
 import pytest
 import torch
 
+from marl_clean.channel.delayed import Delayed
+from marl_clean.channel.lossy import Lossy
+from marl_clean.errors import BadInput
 from marl_clean.learning.networks import QNetwork
 from tests.agent.parts import by_key, frames, make_comm, make_encoder
 
@@ -34,6 +37,25 @@ def test_bfloat16_gives_nearly_the_same_values_in_float32():
     assert reduced.dtype == torch.float32
     assert not torch.equal(exact, reduced)
     torch.testing.assert_close(exact, reduced, atol=0.02, rtol=0.02)
+
+
+def over(*channels: Delayed | Lossy) -> QNetwork:
+    encoder = make_encoder()
+    stack = {f"level_{number}": channel for number, channel in enumerate(channels)}
+    return QNetwork(encoder, make_comm("plan", encoder), True, "float32", channels=stack)
+
+
+def test_two_channels_do_not_remember_by_one_key():
+    first, second = (Delayed(steps, random=False, message_dims=(32,)) for steps in (1, 2))
+    refused = r"^channel=level_1: remembers by \('agents', 'inbox'\), as level_0 does, [^\n]*$"
+    with pytest.raises(BadInput, match=refused):
+        over(first, second)
+    bursts = {"loss": 0.1, "burst_start": 0.1, "burst_end": 0.5, "burst_loss": 1.0}
+    network = over(first, Lossy(**bursts))
+    with pytest.raises(BadInput, match="^channel=Delayed: remembers by"):
+        network.put_behind(second)
+    assert len(network.carries) == 2
+    over(Lossy(**{**bursts, "burst_start": 0.0}), Lossy(**bursts))  # one remembers nothing
 
 
 @pytest.mark.slow

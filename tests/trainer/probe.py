@@ -39,8 +39,8 @@ class Probe(Played):
             episode_reward=Unbounded(torch.Size([*agents, 1])),
         )
         self.action_spec = of_agents(action=Categorical(4, shape=agents))
-        one = torch.Size([*agents, 1])
-        self.reward_spec = of_agents(reward=Unbounded(one), own_reward=Unbounded(one))
+        scalar = torch.Size([*agents, 1])
+        self.reward_spec = of_agents(reward=Unbounded(scalar), own_reward=Unbounded(scalar))
         flag = Binary(shape=torch.Size([num_envs, 1]), dtype=torch.bool)
         self.done_spec = Composite(
             **{name: flag.clone() for name in keys.ENDINGS}, shape=self.batch_size

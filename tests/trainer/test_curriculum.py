@@ -39,17 +39,17 @@ def stages_after(curriculum: Curriculum, *blocks: tuple[str, ...]) -> list[tuple
     """The stage and the number of open houses after each block."""
     env = env_of(10)
     curriculum.open_houses(env)
-    found = []
+    stages = []
     for worlds in blocks:
         curriculum.note(env, *block(*worlds))
-        found.append((curriculum.stage, env.num_open))
-    return found
+        stages.append((curriculum.stage, env.num_open))
+    return stages
 
 
 def test_planted_successes_open_one_stage_after_the_other_and_then_no_more() -> None:
     blocks = [("+..+", ".+..")] * 5
-    found = stages_after(Curriculum(3, 0.75, 4), *blocks)
-    assert found == [(1, 4), (2, 7), (2, 7), (3, 10), (3, 10)]
+    stages = stages_after(Curriculum(3, 0.75, 4), *blocks)
+    assert stages == [(1, 4), (2, 7), (2, 7), (3, 10), (3, 10)]
 
 
 def test_failures_open_nothing() -> None:
