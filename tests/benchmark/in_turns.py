@@ -15,16 +15,22 @@ from pathlib import Path
 STARTS = 4
 PAIRS = 12
 WARM_UP, STEPS = 10, 150
-# Written out, and not `benchmark`'s own, since that of an older checkout may be another.
+# Written out, and not the command `benchmark`, since that of an older checkout may be another.
 WORKER = f"""
 import sys, time
 import torch
-from marl_clean.commands import benchmark
-from marl_clean import keys
-from marl_clean.config.compose import compose_config
+from marl_clean import build, keys
+try:
+    from marl_clean.config.compose import compose_config
+except ImportError:  # an older checkout
+    from marl_clean.compose import compose_config
 
-env = benchmark.env_of(compose_config([]), 1024, 3, 20)
-drawn, carried = benchmark.actions(env), env.reset()
+rooms = ["house.rows=[20,20]", "house.cols=[20,20]", "train_houses=64"]
+config = compose_config([*rooms, "env.compile=true", "env.num_envs=1024", "env.n_agents=3"])
+env = build.make_env(config)
+generator = torch.Generator().manual_seed(0)
+drawn = [torch.randint(0, 4, (1024, 3), generator=generator) for _ in range(32)]
+carried = env.reset()
 state = env.base_env.state
 state.last_progress = state.step - torch.arange(1024) % 100  # staggered ends
 
