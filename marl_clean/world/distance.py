@@ -24,7 +24,7 @@ def neighbours(matrix: Tensor, outside: bool | int) -> Tensor:
     )
 
 
-@torch.compiler.disable  # as long a loop as the way is; compiled code calls it as it is
+@torch.compiler.disable  # a loop as long as the longest path; called as it is
 def walking_distance(
     passable: Bool[Tensor, "*batch height width"], sources: Bool[Tensor, "*batch height width"]
 ) -> Int[Tensor, "*batch height width"]:

@@ -60,16 +60,16 @@ def coarser(
     dirt = torch.where(available, 1 - square / CLEANED_VALUE, 0.0)
     planes = torch.stack([square == BLOCKED_VALUE, square == UNKNOWN_VALUE, dirt], 1)
     robot = (square == ROBOT_VALUE).to(code.dtype)[:, None]
-    found = []
+    coarse = []
     for scale in range(1, scales):
         cells = 2**scale
         first = (side - view_size * cells) // 2
         middle = slice(first, side - first)
         part = _parts(view_size, cells, code.device)
-        found.append(part @ planes[..., middle, middle] @ part.mT)
+        coarse.append(part @ planes[..., middle, middle] @ part.mT)
         seen = torch.nn.functional.max_pool2d(robot[..., middle, middle], cells + 1, stride=cells)
-        found.append(seen)
-    return torch.cat(found, 1).unflatten(0, (num_envs, n_agents))
+        coarse.append(seen)
+    return torch.cat(coarse, 1).unflatten(0, (num_envs, n_agents))
 
 
 def _parts(entries: int, cells: int, device: torch.device) -> Float[Tensor, "entry cell"]:
