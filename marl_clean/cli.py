@@ -218,7 +218,12 @@ def _run(argv: Sequence[str]) -> int:
     asked, _ = _plugin_option().parse_known_args(argv[1:])
     with plugins_in_use(asked.plugin):
         helps = {"-h", "--help"}.intersection(argv)
-        return COMMANDS[name](_parser(name, bool(helps)).parse_intermixed_args(argv[1:]))
+        arguments = _parser(name, bool(helps)).parse_intermixed_args(argv[1:])
+        if name not in WITHOUT_SETTINGS:
+            from marl_clean.commands.shorthand import with_floor_plans
+
+            arguments.settings = with_floor_plans(arguments.settings)
+        return COMMANDS[name](arguments)
 
 
 def _plugin_option() -> Parser:

@@ -40,7 +40,6 @@ def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[
         SystemExit: 143 or 130 after a signal, when the state is saved.
     """
     console = console or output()
-    say_plans(cfg, cfg.evaluation.plans)
     outcome = train(cfg, folder)
     if outcome.was_finished:
         console.print(f"{folder} is finished: {outcome.frames:,} frames", soft_wrap=True)
@@ -74,6 +73,7 @@ def train(cfg: DictConfig, folder: Path) -> Outcome:
         files.write_file(folder / CONFIG, [OmegaConf.to_yaml(cfg, resolve=True).encode()])
     except OSError as error:
         raise BadInput(f"name={cfg.name}: {folder} cannot be written: {error.strerror}") from error
+    say_plans(cfg, cfg.evaluation.plans)
     return trainer.train(
         env,
         agent,

@@ -192,8 +192,11 @@ class CleaningEnv(Compiling):
 
         Returns these worlds alone, and what `reads` observe in them, computed along the way.
         """
+        episode = self.state.episode[rows] + self._started
+        for index in (rows, episode):  # compiled once for any number of worlds, not for each
+            torch._dynamo.maybe_mark_dynamic(index, 0)
         begin_rows_ = self.compiled(step.begin_rows_)
-        fresh, entries = begin_rows_(self.state, self.setup, rows, self._started, reads)
+        fresh, entries = begin_rows_(self.state, self.setup, rows, episode, reads)
         self.reset_rows, self.reset_state = rows, fresh
         self._started = True
         return fresh, entries

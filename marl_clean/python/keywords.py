@@ -12,17 +12,17 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
+from marl_clean.commands.shorthand import with_floor_plans
 from marl_clean.config.compose import dotted_keys, unchecked
 from marl_clean.config.levels import EXPERIMENT, SEVERAL, groups
 from marl_clean.config.locate import use_plugins
 from marl_clean.config.stored import find_run, load_config
 from marl_clean.errors import BadInput
-from marl_clean.house.floorplan import SHIPPED, SUFFIXES
 
 Settings = str | Sequence[str] | None
 """A preset by its name, or overrides as on the command line; None: the defaults."""
 
-CHECKPOINT, HOUSE, PLUGINS = "checkpoint", "house", "plugins"
+CHECKPOINT, PLUGINS = "checkpoint", "plugins"
 BARE = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
 RESERVED = ("null", "true", "false", "nan", "inf")  # words that are no text in a setting
 NEAREST = 3
@@ -39,7 +39,7 @@ def overrides_of(settings: Settings, keywords: Mapping[str, Any]) -> list[str]:
     """
     use_plugins(keywords.get(PLUGINS, ()))
     keywords = {key: value for key, value in keywords.items() if key != PLUGINS}
-    given = [text for setting in _listed(settings) for text in _with_plan(setting)]
+    given = with_floor_plans(_listed(settings))
     rooms = groups()
     levels: list[str] = []
     values: dict[str, Any] = {}
@@ -47,7 +47,7 @@ def overrides_of(settings: Settings, keywords: Mapping[str, Any]) -> list[str]:
         if isinstance(value, Mapping) and (key in rooms or key == "evaluation"):
             values |= dict(_of_section(key, value))
         elif key in rooms:
-            levels += _with_plan(f"{key}={_text(key, value)}", str(value))
+            levels += with_floor_plans([f"{key}={_text(key, value)}"])
         else:
             values[key] = value
     if CHECKPOINT in values:
@@ -77,25 +77,6 @@ def _of_section(section: str, keys: Mapping[str, Any]) -> Iterator[tuple[str, An
             yield from _of_section(f"{section}.{name}", value)
         else:
             yield f"{section}.{name}", value
-
-
-def _with_plan(setting: str, value: str | None = None) -> Iterator[str]:
-    """The setting, or where it names a floor plan as its house, the two that this means."""
-    key, _, text = setting.partition("=")
-    plan = text.strip("'\"") if value is None else value
-    if key == HOUSE and _is_plan(plan):
-        yield f"{HOUSE}=floorplan"
-        yield f"{HOUSE}.path={_text(HOUSE, plan)}"
-    else:
-        yield setting
-
-
-def _is_plan(value: str) -> bool:
-    """Whether it names a shipped floor plan or a file of one, and no level."""
-    if value in groups()[HOUSE]:
-        return False
-    shipped = {path.stem for path in SHIPPED.iterdir()}
-    return value in shipped or "/" in value or Path(value).suffix.lower() in SUFFIXES
 
 
 def _known_keys(overrides: Sequence[str]) -> list[str]:

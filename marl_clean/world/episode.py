@@ -30,7 +30,11 @@ def begin(setup: Setup, episode: Int[Tensor, " env"]) -> State:
     if rules.knowledge is Knowledge.STALE:
         blocked, piece = _rearranged(setup, house, episode)
     zeros = torch.zeros_like(house)
-    flags = torch.zeros((num_envs, n_agents), dtype=torch.bool, device=house.device)
+    # A tensor each, `step` and `last_progress` too: what is compiled for one in the place of two
+    # would be compiled anew where they differ.
+    moved, bumped, collided = torch.zeros(
+        (3, num_envs, n_agents), dtype=torch.bool, device=house.device
+    ).unbind(0)
     state = State(
         blocked=blocked,
         piece=piece,
@@ -44,15 +48,15 @@ def begin(setup: Setup, episode: Int[Tensor, " env"]) -> State:
         ),
         episode=episode,
         step=zeros,
-        last_progress=zeros,
+        last_progress=zeros.clone(),
         position=draw_starts(setup, house, blocked, episode),
         record=torch.full((num_envs, num_maps, height, width), UNKNOWN_RECORD, device=house.device),
         visited=torch.zeros_like(blocked),
         num_visited=zeros + n_agents,
-        moved=flags,
-        bumped=flags,
-        collided=flags,
-        newly_cleaned=~flags,
+        moved=moved,
+        bumped=bumped,
+        collided=collided,
+        newly_cleaned=~moved,
     )
     if record is not None:
         state.record[:] = record[:, None]

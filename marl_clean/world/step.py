@@ -81,14 +81,18 @@ def settle_(state: State, outcome: Outcome, setup: Setup, along: Along) -> Settl
 
 
 def begin_rows_(
-    state: State, setup: Setup, rows: Int[Tensor, " row"], later: bool, reads: Sequence[Read]
+    state: State,
+    setup: Setup,
+    rows: Int[Tensor, " row"],
+    episode: Int[Tensor, " row"],
+    reads: Sequence[Read],
 ) -> tuple[State, Entries]:
-    """Begin an episode in the worlds `rows`, in place: the next one (`later`) or this one anew.
+    """Begin the given episodes in the worlds `rows`, in place.
 
     Returns these worlds alone, and what `reads` observe in them.
     """
     setup = setup.of_rows(rows)
-    fresh = begin(setup, state.episode[rows] + later)
+    fresh = begin(setup, episode)
     _meet_(fresh, setup)
     entries = _entries(fresh, setup, reads)
     state.write_rows_(rows, fresh)

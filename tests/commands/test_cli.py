@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from marl_clean import __version__, cli
 from marl_clean.commands import checks, listing
+from marl_clean.commands.shorthand import with_floor_plans
 from marl_clean.commands.sweep import named_jobs
 from marl_clean.config.compose import compose_config
 from marl_clean.config.levels import conf_folder, rooms
@@ -364,3 +365,11 @@ def test_a_reader_that_leaves_early_is_no_error() -> None:
     line = f"'{sys.executable}' -m marl_clean list | head -n 1; exit ${{PIPESTATUS[0]}}"
     result = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
     assert (result.returncode, result.stderr) == (0, "")
+
+
+def test_a_floor_plan_stands_where_a_house_is_expected() -> None:
+    spelled_out = ["house=floorplan", "house.path=apartment", "seed=1"]
+    assert with_floor_plans(["house=apartment", "seed=1"]) == spelled_out
+    assert with_floor_plans(["house='my home/flat.yaml'"])[1] == "house.path='my home/flat.yaml'"
+    for level in (["house=open"], ["house=open,apartment"], ["house=nope"], ["name=apartment"]):
+        assert with_floor_plans(level) == level

@@ -17,6 +17,7 @@ from marl_clean.commands._progress import EvaluationProgress
 from marl_clean.config.compose import compose_config
 from marl_clean.config.stored import compose_for_policy
 from marl_clean.evaluation.evaluator import measure
+from marl_clean.trainer.base import Trainer
 
 LINE = (
     "flat.yaml: 5 x 7 cells of 0.5 m, 8 free in one region, 1 free cell in 1 other region left out"
@@ -44,16 +45,16 @@ def quiet() -> Console:
 
 
 def trained(cfg: DictConfig) -> None:
-    """The start of the command alone; what it trains is not asked here."""
+    """The start of the command alone, until training would begin."""
 
     class Enough(Exception):
         pass
 
-    def stop(*_: object) -> None:
+    def stop(*_: object, **__: object) -> None:
         raise Enough
 
     with pytest.MonkeyPatch.context() as patch, pytest.raises(Enough):
-        patch.setattr(train, "train", stop)
+        patch.setattr(Trainer, "train", stop)
         train.main(cfg, Path("runs/never"), quiet())
 
 

@@ -1,15 +1,19 @@
-"""Play compiled envs beside plain ones: all that they carry on is the same.
+"""Compiled envs play what plain ones play, and write into their maps: they make none anew.
 
 A script of its own, because the run-time checks of the tests cannot be compiled. With arguments,
 of these settings instead, such as `observation=pyramid env.memory=private`.
 """
 
+import math
+import re
 import sys
 
 import torch
+from torch._inductor.utils import run_and_get_code
 
 from marl_clean import build, keys
 from marl_clean.config.compose import compose_config
+from marl_clean.env.transformed import TransformedWorlds
 
 WORLDS = 12
 SMALL = [
@@ -19,23 +23,38 @@ SMALL = [
     f"env.num_envs={WORLDS}",
     "env.n_agents=3",
     "env.stuck_after=5",
+    "observation.view_size=5",  # smaller than a map: the largest tensor made must not be one
 ]
 NOISE = ["env.bump_noise=0.3", "observation.position_noise=0.3"]
 CASES = [[], ["observation=frontier", "env.memory=private", *NOISE]]
+STEPS = [["env.memory=private"], ["env.sensor=touch4"]]  # of the maps alone
+SIZE = re.compile(r"empty_strided_\w+\(\(([\d, ]+)\)")
 
 
 def main() -> None:
     torch._dynamo.config.fail_on_recompile_limit_hit = True  # not silently uncompiled
-    given = [sys.argv[1:]] if sys.argv[1:] else CASES
-    for settings in given:
-        check(settings)
+    for settings in [sys.argv[1:]] if sys.argv[1:] else CASES:
+        plain, compiled = (make(settings, how) for how in (False, True))
+        _, codes = run_and_get_code(play_beside, plain, compiled)
+        if not settings:  # some observations read whole maps, and make as large ones of it
+            check_maps_are_kept(compiled, codes)
+    if sys.argv[1:]:
+        return
+    for settings in STEPS:
+        env, action = make(settings, True), torch.zeros(WORLDS, 3, dtype=torch.int64)
+        _, codes = run_and_get_code(env.base_env.step_worlds, action)
+        check_maps_are_kept(env, codes)
+    matrix, index = torch.zeros(WORLDS, 10, 10), torch.arange(5)
+    _, codes = run_and_get_code(torch.compile(scatter), matrix, index)
+    assert largest(codes) == matrix.numel(), "a map that is copied would not be noticed"
 
 
-def check(settings: list[str]) -> None:
-    plain, compiled = (
-        build.make_env(compose_config([*SMALL, *settings, f"env.compile={how}"]))
-        for how in (False, True)
-    )
+def make(settings: list[str], compile_it: bool) -> TransformedWorlds:
+    return build.make_env(compose_config([*SMALL, *settings, f"env.compile={compile_it}"]))
+
+
+def play_beside(plain: TransformedWorlds, compiled: TransformedWorlds) -> None:
+    """Step both with the same actions: all that they carry on is the same."""
     generator = torch.Generator().manual_seed(0)
     for seed in (0, 1):  # another seed is no constant of what is compiled
         for env in (plain, compiled):
@@ -51,6 +70,20 @@ def check(settings: list[str]) -> None:
             for key in carried[0].keys(True, True):
                 torch.testing.assert_close(carried[0][key], carried[1][key], rtol=0, atol=1e-6)
         assert len(begun) > 2, begun  # another number of worlds each time
+
+
+def check_maps_are_kept(env: TransformedWorlds, codes: list[str]) -> None:
+    assert 0 < largest(codes) < env.base_env.state.visited.numel()
+
+
+def scatter(matrix: torch.Tensor, index: torch.Tensor) -> None:
+    matrix.view(-1).scatter_(0, index, 1.0)
+
+
+def largest(codes: list[str]) -> int:
+    """Return the numbers in the largest tensor that compiled code makes."""
+    sizes = [size for code in codes for size in SIZE.findall(code)]
+    return max((math.prod(map(int, re.findall(r"\d+", size))) for size in sizes), default=0)
 
 
 if __name__ == "__main__":

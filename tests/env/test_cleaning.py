@@ -195,13 +195,8 @@ def test_touch_knows_the_four_neighbours_at_once() -> None:
 
 
 @pytest.mark.slow
-def test_a_compiled_env_plays_what_a_plain_one_plays(run_script):
+def test_a_compiled_env_plays_what_a_plain_one_plays_and_keeps_its_maps(run_script):
     run_script("tests.env.compiled")
-
-
-@pytest.mark.slow
-def test_a_compiled_env_writes_into_its_maps(run_script):
-    run_script("tests.env.in_place")
 
 
 @pytest.mark.parametrize("overrides", [[], ["reward=team"], ["agent=qmix", "reward=team"]])
