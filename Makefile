@@ -3,7 +3,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DELETE_ON_ERROR:
-.PHONY: help setup train test lint docs benchmark clean
+.PHONY: help setup train test test-fast lint docs benchmark clean
 
 PYTHON ?= python3.11
 VENV := .venv
@@ -13,6 +13,7 @@ RUN := $(VENV)/bin/python -m
 help:
 	@echo "make train       set up, train and evaluate the paper's approach 2"
 	@echo "make test        set up, run the tests"
+	@echo "make test-fast   set up, run the tests that take no two seconds"
 	@echo "make lint        set up, check format and types"
 	@echo "make docs        set up, build the pages into site/"
 	@echo "make benchmark   set up, measure speed"
@@ -31,6 +32,9 @@ train: $(INSTALLED)
 
 test: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(RUN) pytest -n 2 --dist worksteal
+
+test-fast: $(INSTALLED)
+	OMP_NUM_THREADS=1 $(RUN) pytest -n 2 --dist worksteal -m "not slow"
 
 $(VENV)/.installed-dev: $(INSTALLED)
 	$(RUN) pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'

@@ -63,6 +63,7 @@ def test_pettingzoo_accepts_its_pictures(capsys: pytest.CaptureFixture[str]) -> 
     render_test(lambda render_mode: parallel_to_aec(make(render_mode=render_mode)))
 
 
+@pytest.mark.slow
 def test_a_whole_episode_repeats_under_its_seed_and_not_under_another() -> None:
     # Without a limit that random actions could reach: 300 steps, however they go.
     large = ["house.rows=[14,14]", "house.cols=[14,14]", "env.stuck_after=null"]
@@ -73,6 +74,7 @@ def test_a_whole_episode_repeats_under_its_seed_and_not_under_another() -> None:
     assert not data_equivalence(first[0], env.reset(seed=4))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("overrides", WORLDS.values(), ids=WORLDS)
 def test_it_plays_as_the_batched_env_does(overrides: list[str]) -> None:
     env = make(*overrides, adjacency=True)

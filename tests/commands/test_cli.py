@@ -120,6 +120,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", BAD_COMMANDS)
 def test_bad_input_is_one_line_and_exit_2_within_3_seconds(place: Path, command: str) -> None:
     before, files = resource.getrusage(resource.RUSAGE_CHILDREN), files_in(place)
@@ -212,6 +213,7 @@ def test_compiling_from_a_path_with_a_space_is_bad_input(
     assert "env.compile=true: torch cannot compile" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_bad_input_is_met_before_torch_is_imported(place: Path) -> None:
     program = (
         "import sys; from marl_clean import cli\n"
@@ -261,6 +263,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 SWEEP = ["train", "-m", "hydra/hydra_logging=none"]
 
 
+@pytest.mark.slow
 def test_a_sweep_gives_every_combination_its_folder(place: Path, trained: list[str]) -> None:
     settings = ["seed=1,2", "comm=plan,none", "evaluation.epsilon=choice(0.1)"]
     assert cli.main([*SWEEP, *settings]) == 0
@@ -274,6 +277,7 @@ def test_a_named_sweep_is_one_folder_of_jobs(place: Path, trained: list[str]) ->
     assert len(trained) == 3 and files_in(place / "runs") == {"lamp"}
 
 
+@pytest.mark.slow
 def test_a_preset_says_its_sweep_and_settings_win_key_by_key(
     place: Path, trained: list[str]
 ) -> None:
@@ -293,6 +297,7 @@ def test_a_preset_that_sweeps_is_one_run_without_m(place: Path, trained: list[st
     assert name.startswith("reward_sharing-")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", SWEEPING)
 def test_every_sweep_of_a_preset_is_made_of_distinct_sound_jobs(preset: str) -> None:
     swept = sweep_of(conf_folder() / "experiment" / f"{preset}.yaml")
@@ -305,6 +310,7 @@ def test_every_job_is_checked_before_the_first_runs(place: Path, trained: list[s
     assert trained == []
 
 
+@pytest.mark.slow
 def test_a_failing_job_fails_the_sweep_after_the_others_ran(
     place: Path, trained: list[str]
 ) -> None:

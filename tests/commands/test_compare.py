@@ -106,6 +106,7 @@ def test_no_run_at_all_is_refused(tmp_path) -> None:
         compare.main([str(tmp_path / "nothing")], console=QUIET)
 
 
+@pytest.mark.slow
 def test_differences_are_paired_by_seed_and_house_and_corrected(tmp_path) -> None:
     base = np.arange(20) * 10 + 20
     runs = [

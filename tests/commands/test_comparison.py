@@ -53,6 +53,7 @@ def test_a_wrong_setting_trains_nothing(setting, said, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_comparison_trains_what_it_lacks_and_says_its_budget(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     console = Console(file=io.StringIO(), width=200)

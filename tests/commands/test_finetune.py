@@ -65,6 +65,7 @@ def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_run_brings_its_config_and_the_preset_its_own(place: Path) -> None:
     config = compose_for_training(AT_HOME)
     assert config.observation._target_.endswith("Frontier")
@@ -94,6 +95,7 @@ def test_other_weights_make_another_run(place: Path) -> None:
     assert (measured.weights, measured.name) == (None, "before")
 
 
+@pytest.mark.slow
 def test_before_and_after_at_home_and_in_the_old_houses(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -160,6 +162,7 @@ def unmeasured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(train, "measure_all", lambda cfg, folder: [])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unmeasured")
 def test_starting_weights_that_training_only_worsens_stay_the_best(place: Path) -> None:
     assert cli.main(["train", *AT_HOME, "name=worse", "agent.lr=1.0", "agent.lr_end=1.0"]) == 0
@@ -173,6 +176,7 @@ class Killed(BaseException):
     """Ends a run without a chance to save, as kill -9 does."""
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unmeasured")
 def test_a_killed_run_goes_on_from_its_state_and_not_from_the_start(
     place: Path, monkeypatch: pytest.MonkeyPatch
@@ -255,6 +259,7 @@ def test_learning_may_change_where_the_network_stays(place: Path) -> None:
     assert config.reward._target_.endswith("Team")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unmeasured")
 def test_a_sweep_starts_every_job_from_the_run(place: Path) -> None:
     sweep = ["train", "-m", "hydra/hydra_logging=none", *AT_HOME, "seed=1,2"]

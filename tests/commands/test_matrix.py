@@ -40,6 +40,7 @@ def runs(tmp_path_factory):
     return place
 
 
+@pytest.mark.slow
 def test_a_row_a_training_channel_and_a_column_a_test_channel(runs, monkeypatch, capsys):
     monkeypatch.chdir(runs)
     folders = sorted(str(path) for path in (runs / "runs" / "x").iterdir())
@@ -60,6 +61,7 @@ def test_a_row_a_training_channel_and_a_column_a_test_channel(runs, monkeypatch,
     assert sorted(map(str, home["houses"])) == sorted(map(str, stored))
 
 
+@pytest.mark.slow
 def test_channels_to_measure_over_can_be_given(runs, monkeypatch):
     monkeypatch.chdir(runs)
     folder = str(next((runs / "runs" / "x").iterdir()))

@@ -56,6 +56,8 @@ def test_specs_hold(overrides: list[str]) -> None:
     assert rollout[keys.OBSERVATION].shape == (6, 50, 3, 1, 15, 15)
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("overrides", READINGS, ids=" ".join)
 def test_one_seed_gives_one_play_and_another_seed_another(overrides: list[str]) -> None:
     """Over 500 steps with many resets, to the last bit."""
@@ -78,6 +80,7 @@ def test_set_seed_starts_over() -> None:
     assert (first == torch.stack(play(env, actions))).all()
 
 
+@pytest.mark.slow
 def test_env_i_of_many_is_env_i_alone() -> None:
     actions = actions_for(300, 8)
     rules = Rules(stuck_after=15)

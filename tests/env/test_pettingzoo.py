@@ -262,6 +262,7 @@ def train(folder: Path, *overrides: str) -> list[dict[str, Any]]:
     return command.main(cfg, folder, Console(quiet=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("comm", ["plan", "none"])
 def test_a_run_trains_measures_and_draws(tmp_path: Path, comm: str) -> None:
     folder = tmp_path / "mine"
@@ -285,6 +286,7 @@ def test_a_run_trains_measures_and_draws(tmp_path: Path, comm: str) -> None:
     assert compare.main([str(folder)], console=table) == entries
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_with_new_episodes(
     tmp_path: Path,
     copies: dict[str, Any],

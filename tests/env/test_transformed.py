@@ -57,6 +57,7 @@ def assert_same(ours: TensorDictBase, theirs: TensorDictBase) -> None:
     assert ours.batch_size == theirs.batch_size and ours.device == theirs.device
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_steps_and_resets_are_torchrls(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     (env, carries), (reference, _) = make(CASES[case]), make(CASES[case])

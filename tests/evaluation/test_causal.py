@@ -123,6 +123,7 @@ def played(cfg, policy, count: int = 5):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("comm", ["plan", "commnet", "tarmac", "ic3net", "dial"])
 @pytest.mark.parametrize("name", INTERVENTIONS)
 def test_every_intervention_plays_with_every_scheme(name, comm):

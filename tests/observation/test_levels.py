@@ -71,6 +71,7 @@ def test_a_lane_of_one_row_is_a_house(level: str) -> None:
     assert seen.isfinite().all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", MEMORIES)
 @pytest.mark.parametrize("level", LEVELS)
 def test_env_i_of_many_sees_what_env_i_sees_alone(level: str, memory: str) -> None:

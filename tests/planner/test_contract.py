@@ -44,6 +44,7 @@ def actions_of(cfg, first: int = 0, num_envs: int = 3, steps: int = 30) -> torch
     return rollout[ACTION]
 
 
+@pytest.mark.slow
 @each_planner
 def test_actions_are_valid_and_a_batch_is_each_world_alone(planner: str) -> None:
     cfg = config_of(planner, "env.n_agents=3", "env.max_steps=22")  # a second episode begins
@@ -86,6 +87,7 @@ def test_the_truth_is_not_read(planner: str, sensor: str) -> None:
 FINISHING = [planner for planner in PLANNERS if planner != "planner=random"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("planner", "sensor", "n_agents"),
     [
@@ -98,6 +100,7 @@ def test_every_house_is_finished(planner: str, sensor: str, n_agents: int) -> No
         assert record["T_100"] is not None and record["T_100"] >= record["bound_100"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planner", FINISHING)
 @pytest.mark.parametrize("memory", ["private", "merged"])
 def test_robots_with_maps_of_their_own_finish_too(planner: str, memory: str) -> None:

@@ -1,5 +1,6 @@
 """The batched planner takes the actions that a literal breadth-first search takes."""
 
+import pytest
 import torch
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
@@ -36,6 +37,7 @@ def follow(case: Case, planner: Planner, compare) -> None:
         tensordict = step_mdp(tensordict)
 
 
+@pytest.mark.slow
 @given(case=cases(max_agents=4), assignment=st.sampled_from([Assignment.NONE, Assignment.GREEDY]))
 @hypothesis_settings(max_examples=60, deadline=None)
 def test_actions_are_those_of_breadth_first_search(case: Case, assignment: Assignment) -> None:
@@ -48,6 +50,7 @@ def test_actions_are_those_of_breadth_first_search(case: Case, assignment: Assig
     follow(case, NearestUnknown(assignment), compare)
 
 
+@pytest.mark.slow
 @given(case=cases(max_agents=3))
 @hypothesis_settings(max_examples=40, deadline=None)
 def test_hungarian_targets_cost_what_the_best_assignment_costs(case: Case) -> None:
@@ -62,6 +65,7 @@ def test_hungarian_targets_cost_what_the_best_assignment_costs(case: Case) -> No
     follow(case, NearestUnknown(Assignment.HUNGARIAN), compare)
 
 
+@pytest.mark.slow
 @given(
     case=cases(max_agents=4),
     assignment=st.sampled_from([Assignment.NONE, Assignment.GREEDY]),
@@ -101,6 +105,7 @@ def likely_walls(known: reference.Map) -> set[reference.Place]:
     }
 
 
+@pytest.mark.slow
 @given(case=cases(max_agents=3))
 @hypothesis_settings(max_examples=40, deadline=None)
 def test_what_is_probably_wall_comes_after_all_that_is_not(case: Case) -> None:

@@ -72,6 +72,7 @@ def test_the_view_in_figure_2_is_what_the_network_gets(cfg):
     assert (texts == "-1").any() and (texts == "-.2").any()
 
 
+@pytest.mark.slow
 def test_every_figure_is_written_as_svg_and_png(cfg, tmp_path, monkeypatch):
     monkeypatch.setattr(figure, "RUNS", tmp_path)
     for name in figure.NAMES:

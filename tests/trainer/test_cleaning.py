@@ -57,6 +57,7 @@ def train(folder, overrides, die_after: int | None = None) -> None:
     trainer.train(env, agent, lambda policy: {"T_100": 1.0}, [Csv(folder)], folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "overrides",
     [

@@ -112,6 +112,7 @@ def test_a_finished_run_says_so_and_does_nothing(uninterrupted):
     assert (uninterrupted / "metrics.csv").read_bytes() == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("steps", "number", "code"),
     [([17], signal.SIGINT, 130), ([2, 13, 26], signal.SIGTERM, 143)],
@@ -132,6 +133,7 @@ class Killed(BaseException):
     """Ends a run without a chance to save, as kill -9 does."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [1, 8, 19, 27])
 def test_a_killed_run_goes_on_from_its_last_state(tmp_path, uninterrupted, step, monkeypatch):
     folder = tmp_path / "run"

@@ -59,6 +59,7 @@ def train(folder: Path, kind: str, at: int = -1) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_interrupted_run_goes_on_exactly(tmp_path, kind):
     train(tmp_path / "whole", kind)

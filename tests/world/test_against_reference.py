@@ -1,5 +1,6 @@
 """The tensor world equals the plain one, step for step, whatever the reading."""
 
+import pytest
 import torch
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
@@ -76,12 +77,14 @@ def _carry(tensordict, after):
     return step_mdp(carried)
 
 
+@pytest.mark.slow
 @given(case=cases(), whole_map=st.booleans())
 @hypothesis_settings(max_examples=EXAMPLES, deadline=None)
 def test_every_step_of_random_play_is_the_reference(case: Case, whole_map: bool) -> None:
     assert_same_play([case], whole_map)
 
 
+@pytest.mark.slow
 @given(data=st.data())
 @hypothesis_settings(max_examples=30, deadline=None)
 def test_several_worlds_together_equal_each_alone(data: st.DataObject) -> None:
