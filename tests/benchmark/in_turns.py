@@ -1,9 +1,10 @@
-"""Two checkouts of this project, their whole env timed in turns: which is faster, and by how much.
+"""Two checkouts of this project timed interleaved: which is faster, and by how much.
 
 A busy machine swings by more within a minute than most changes gain; in slices both swing alike.
 And a process may by itself be 8 % faster than its equal, so both are started several times.
-`python -m tests.benchmark.in_turns BEFORE AFTER` with two folders, such as that of
-`git worktree add BEFORE 96de350` and `.`. A folder against itself tells what is noise.
+`python -m tests.benchmark.in_turns BEFORE AFTER [world|env|training ...]` with two folders, such as
+that of `git worktree add BEFORE 6ec818b` and `.`. A folder against itself shows what is noise.
+Ratios are seconds after over seconds before: below 1 is faster.
 """
 
 import os
@@ -14,23 +15,29 @@ from pathlib import Path
 
 STARTS = 4
 PAIRS = 12
-WARM_UP, STEPS = 10, 150
-# Written out, and not the command `benchmark`, since that of an older checkout may be another.
-WORKER = f"""
+# Written out, and not `benchmark`'s own, since that of an older checkout may be another.
+IMPORTS = """
 import sys, time
 import torch
 from marl_clean import build, keys
 try:
+    from marl_clean.commands import benchmark
     from marl_clean.config.compose import compose_config
-except ImportError:  # an older checkout
+    from marl_clean.config.schema import instantiate
+    from marl_clean.storage.checkpoint import Checkpoints
+except ModuleNotFoundError:  # a checkout from before these rooms
+    from marl_clean import benchmark
+    from marl_clean.checkpoint import Checkpoints
     from marl_clean.compose import compose_config
-
-rooms = ["house.rows=[20,20]", "house.cols=[20,20]", "train_houses=64"]
-config = compose_config([*rooms, "env.compile=true", "env.num_envs=1024", "env.n_agents=3"])
-env = build.make_env(config)
-generator = torch.Generator().manual_seed(0)
-drawn = [torch.randint(0, 4, (1024, 3), generator=generator) for _ in range(32)]
-carried = env.reset()
+    from marl_clean.schema import instantiate
+"""
+WORLD = """
+play = benchmark.world_play(benchmark.env_of(compose_config([]), 1024, 3, 20))
+warm_up, steps = 10, 150
+"""
+ENV = """
+env = benchmark.env_of(compose_config([]), 1024, 3, 20)
+drawn, carried = benchmark.actions(env), env.reset()
 state = env.base_env.state
 state.last_progress = state.step - torch.arange(1024) % 100  # staggered ends
 
@@ -40,19 +47,41 @@ def play(count):
         carried[keys.ACTION] = drawn[index % len(drawn)]
         _, carried = env.step_and_maybe_reset(carried)
 
-play(400)
-for line in sys.stdin:
-    play({WARM_UP})
-    began = time.perf_counter()
-    play({STEPS})
-    print((time.perf_counter() - began) / {STEPS}, flush=True)
+warm_up, steps = 10, 150
 """
+TRAINING = """
+import logging, pathlib, tempfile
+logging.getLogger("torchrl").setLevel(logging.WARNING)
+torch.manual_seed(0)
+cfg = compose_config(["trainer.start_frames=0", "train_houses=256"])
+env = build.make_env(cfg)
+agent = build.make_agent(cfg, env)
+env, trainer = build.ready_for(agent, env), instantiate(cfg.trainer)
+folder = pathlib.Path(tempfile.mkdtemp())
+loop = trainer.begin(env, agent, lambda policy: {}, [], Checkpoints(folder))
+collect = getattr(loop, "collect", None) or loop.play  # as it was called before
+
+def play(count):
+    for _ in range(count):
+        loop.learn(collect())
+
+warm_up, steps = 0, 1
+"""
+LOOP = """
+play(2 * steps + 8)
+for line in sys.stdin:
+    play(warm_up)
+    began = time.perf_counter()
+    play(steps)
+    print((time.perf_counter() - began) / steps, flush=True)
+"""
+WORKERS = {"world": WORLD, "env": ENV, "training": TRAINING}
 
 
-def worker(folder: str) -> subprocess.Popen[str]:
+def worker(folder: str, what: str) -> subprocess.Popen[str]:
     """Start a process that plays a slice for every line it is sent."""
     return subprocess.Popen(
-        [sys.executable, "-c", WORKER],
+        [sys.executable, "-c", IMPORTS + WORKERS[what] + LOOP],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(Path(folder).resolve())},
         stdin=subprocess.PIPE,
@@ -69,9 +98,9 @@ def slice_seconds(process: subprocess.Popen[str]) -> float:
     return float(process.stdout.readline())
 
 
-def ratio(before: str, after: str) -> float:
-    """Return the median ratio of slices played in turns by two new processes."""
-    workers = [worker(before), worker(after)]
+def ratio(before: str, after: str, what: str) -> float:
+    """Return the median ratio of interleaved slices of two new processes."""
+    workers = [worker(before, what), worker(after, what)]
     for process in workers:
         slice_seconds(process)
     taken = []
@@ -84,9 +113,12 @@ def ratio(before: str, after: str) -> float:
     return statistics.median(taken)
 
 
-def main(before: str, after: str) -> None:
-    ratios = sorted(ratio(before, after) for _ in range(STARTS))
-    sys.stdout.write(f"after / before: {', '.join(f'{one:.2f}' for one in ratios)}\n")
+def main(before: str, after: str, *wanted: str) -> None:
+    for what in wanted or WORKERS:
+        ratios = sorted(ratio(before, after, what) for _ in range(STARTS))
+        shown = ", ".join(f"{one:.2f}" for one in ratios)
+        sys.stdout.write(f"{what}: after / before: {shown}\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":
