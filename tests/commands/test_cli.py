@@ -256,7 +256,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     stand_in = types.ModuleType("marl_clean.commands.train")
     stand_in.main = main  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "marl_clean.commands.train", stand_in)
-    monkeypatch.setattr(marl_clean, "train", stand_in, raising=False)
+    monkeypatch.setattr(marl_clean.commands, "train", stand_in, raising=False)
     return names
 
 

@@ -13,6 +13,9 @@ import marl_clean
 ROOT = Path(__file__).parents[2]
 DOOR = ("train", "evaluate", "compare", "make_env", "load_policy", "Run", "Table", "CleaningEnv")
 MODULES = ("python.door", "python.run", "python.table", "pettingzoo", "env.cleaning")
+CONTRACTS = sorted(
+    path.stem for path in (ROOT / "marl_clean/testing").glob("*.py") if path.stem[0] != "_"
+)
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
@@ -20,6 +23,14 @@ OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 def test_examples_run(name: str, run: marl_clean.Run) -> None:
     """In a folder with a finished run, runs/mine."""
     module = importlib.import_module(f"marl_clean.{name}")
+    result = doctest.testmod(module, optionflags=OPTIONS)
+    assert result.attempted and not result.failed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("contract", CONTRACTS)
+def test_examples_of_contracts_run(contract: str) -> None:
+    module = importlib.import_module(f"marl_clean.testing.{contract}")
     result = doctest.testmod(module, optionflags=OPTIONS)
     assert result.attempted and not result.failed
 
@@ -36,6 +47,7 @@ def test_every_method_of_a_run_has_an_example(name: str) -> None:
 
 @pytest.mark.slow
 def test_a_users_script_is_typed_exactly() -> None:
+    pytest.importorskip("mypy", reason="of the extra dev")
     command = [sys.executable, "-m", "mypy", "--strict", "--ignore-missing-imports"]
     script = "tests/python/user_script.py"
     done = subprocess.run([*command, script], cwd=ROOT, capture_output=True, text=True)
