@@ -20,34 +20,42 @@ IMPORTS = """
 import sys, time
 import torch
 from marl_clean import build, keys
+from marl_clean.world.dynamics import advance_
+from marl_clean.world.sensing import crop
 try:
-    from marl_clean.commands import benchmark
     from marl_clean.config.compose import compose_config
     from marl_clean.config.schema import instantiate
     from marl_clean.storage.checkpoint import Checkpoints
 except ModuleNotFoundError:  # a checkout from before these rooms
-    from marl_clean import benchmark
     from marl_clean.checkpoint import Checkpoints
     from marl_clean.compose import compose_config
     from marl_clean.schema import instantiate
 """
-WORLD = """
-play = benchmark.world_play(benchmark.env_of(compose_config([]), 1024, 3, 20))
+WORLDS = """
+case = ["house.rows=[20,20]", "house.cols=[20,20]", "env.compile=true", "env.n_agents=3"]
+env = build.make_env(compose_config([*case, "train_houses=64"]), num_envs=1024)
+carried, worlds = env.reset(), env.base_env
+generator = torch.Generator().manual_seed(0)
+drawn = [torch.randint(0, 4, (1024, 3), generator=generator) for _ in range(32)]
 warm_up, steps = 10, 150
 """
-ENV = """
-env = benchmark.env_of(compose_config([]), 1024, 3, 20)
-drawn, carried = benchmark.actions(env), env.reset()
-state = env.base_env.state
-state.last_progress = state.step - torch.arange(1024) % 100  # staggered ends
+WORLD = f"""{WORLDS}
+step, look = worlds.compiled(advance_), worlds.compiled(crop, wide=True)
+
+def play(count):
+    state, rules = worlds.state, worlds.rules
+    for index in range(count):
+        step(state, drawn[index % len(drawn)], worlds.moves, rules)
+        look(state.record, state.position, state.step, 15, rules)
+"""
+ENV = f"""{WORLDS}
+worlds.state.last_progress = worlds.state.step - torch.arange(1024) % 100  # staggered ends
 
 def play(count):
     global carried
     for index in range(count):
         carried[keys.ACTION] = drawn[index % len(drawn)]
         _, carried = env.step_and_maybe_reset(carried)
-
-warm_up, steps = 10, 150
 """
 TRAINING = """
 import logging, pathlib, tempfile
