@@ -14,8 +14,9 @@ from torch import Tensor, nn
 from torchrl.envs import TransformedEnv
 
 from marl_clean import build
-from marl_clean.config.compose import compose_config, plays_houses
+from marl_clean.config.compose import plays_houses
 from marl_clean.config.config_hash import config_hash
+from marl_clean.config.levels import read_level
 from marl_clean.config.schema import instantiate
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.errors import BadInput
@@ -34,10 +35,10 @@ START_SEEDS = {"validation": 2**31 + 1, "test": 2**31 + 2}
 """Of the starts in held-out houses: above every run's own seed, another for each split, so that
 a plan's validation episodes are neither those of its test nor of training."""
 CELLS_AT_ONCE = 4_000_000  # bounds the memory to some hundred MB
-YARDSTICKS = (
-    ["planner=random"],
-    ["planner=nearest_unknown"],
-    ["planner=nearest_unknown", "planner.assignment=greedy"],
+YARDSTICKS: tuple[tuple[str, dict[str, str]], ...] = (
+    ("random", {}),
+    ("nearest_unknown", {}),
+    ("nearest_unknown", {"assignment": "greedy"}),
 )
 
 
@@ -179,9 +180,9 @@ def measure_beside_planners(
         return
     epsilon = cfg.evaluation.epsilon
     yield measure(cfg, lambda env: policy, name, epsilon=epsilon, on_progress=on_progress)
-    for overrides in YARDSTICKS:
+    for planner, settings in YARDSTICKS:
         rival = cfg.copy()
-        rival.planner = compose_config(overrides).planner
+        rival.planner = {**read_level("planner", planner), **settings}
         yield measure_planner(rival, on_progress)
 
 

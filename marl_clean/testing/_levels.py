@@ -59,7 +59,7 @@ def maker(room: str, level: Level, settings: Mapping[str, Any]) -> Maker:
     label = " ".join([f"{room}={name}", *changes])
     if isinstance(level, type):
         return Maker(label, level, lambda **parts: level(**{**settings, **parts}))
-    section = _section(room, level)
+    section = level_section(room, level)
     changed = OmegaConf.create({**container(section), **settings})
     key = f"{room}.{level}" if room in SEVERAL else room
     for problem in schema.problems_of_level(container(changed), key, room):
@@ -70,7 +70,7 @@ def maker(room: str, level: Level, settings: Mapping[str, Any]) -> Maker:
 
 
 @cache
-def _section(room: str, level: str) -> DictConfig:
+def level_section(room: str, level: str) -> DictConfig:
     """Return a level's values by its yaml; kept, since composing takes longer than a clause."""
     composed = compose_config([f"{room}=[{level}]" if room in SEVERAL else f"{room}={level}"])
     return composed[room][level] if room in SEVERAL else composed[room]

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import torch
@@ -17,7 +18,7 @@ from marl_clean.env.global_state import GlobalState
 from marl_clean.learning.agent import Agent
 from marl_clean.settings import HouseOrder
 from marl_clean.testing._broken import Clause, require, require_equal, verify
-from marl_clean.testing._levels import Level, Maker, maker
+from marl_clean.testing._levels import Level, Maker, level_section, maker
 from marl_clean.testing._worlds import N_AGENTS, scattered_houses
 
 NUM_ENVS, STEPS = 4, 6
@@ -61,11 +62,18 @@ def check_agent(
     """
     made = maker("agent", level, settings)
     fits: dict[str, list[str]] = dict(made.constant("fits") or {})
-    scheme = [comm] if comm is not None else fits.pop("comm", ["plan"])
-    chosen = {**{room: levels[0] for room, levels in fits.items()}, "comm": scheme[0]}
-    levels = [f"{room}={name}" for room, name in chosen.items()]
-    label = " ".join([made.label, f"comm={scheme[0]}", *others])
-    verify(label, CLAUSES, Learner(made, compose_config([*SMALL, *levels, *others])))
+    schemes = fits.pop("comm", ["plan"])
+    scheme = schemes[0] if comm is None else comm
+    levels = (f"{room}={names[0]}" for room, names in fits.items())
+    config = _composed((*SMALL, *levels, *others)).copy()
+    config.comm = level_section("comm", scheme)
+    verify(" ".join([made.label, f"comm={scheme}", *others]), CLAUSES, Learner(made, config))
+
+
+@cache
+def _composed(overrides: tuple[str, ...]) -> DictConfig:
+    """Return a config, kept, since composing takes longer than all clauses."""
+    return compose_config(overrides)
 
 
 def started(learner: Learner) -> tuple[Agent, TransformedEnv]:
