@@ -13,7 +13,7 @@ from marl_clean import keys
 from marl_clean.channel.base import Channel, Dims
 from marl_clean.comm.base import Comm
 from marl_clean.config.class_source import constant, takes
-from marl_clean.config.compose import checked, plays_houses
+from marl_clean.config.compose import checked, has_houses
 from marl_clean.config.fitting import check_fit
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import find_run, load_config
@@ -52,7 +52,7 @@ def make_env(
     first_env: int = 0,
     seeded: bool = False,
 ) -> TransformedEnv:
-    """Put env, topology, observation and reward together; for a task of others see `make_task`.
+    """Put env, topology, observation and reward together; for an external task see `make_task`.
 
     Args:
         cfg: a composed config.
@@ -63,7 +63,7 @@ def make_env(
         first_env: index of the first world; what is drawn in a world depends on its index.
         seeded: frames hold draws for channels, whether or not the config's channel draws.
     """
-    if not plays_houses(cfg):
+    if not has_houses(cfg):
         return make_task(cfg, num_envs, first_env)
     topology = instantiate(cfg.topology)
     observation = instantiate(cfg.observation)
@@ -81,8 +81,8 @@ def make_env(
         device=torch.device(cfg.device),
         **changes,
     )
-    told = [GlobalState()] if constant(cfg.agent._target_, "needs_state") else []
-    transforms = (topology, observation, *told, *draws(cfg, seeded), *payment(cfg))
+    global_state = [GlobalState()] if constant(cfg.agent._target_, "needs_state") else []
+    transforms = (topology, observation, *global_state, *draws(cfg, seeded), *payment(cfg))
     return TransformedWorlds(env, Compose(*transforms))
 
 
@@ -129,7 +129,7 @@ def make_encoder(cfg: DictConfig, seen: torch.Size) -> Encoder:
     One that asks for `spread` is handed how the observation's codes spread over planes.
     """
     parts = {}
-    if plays_houses(cfg) and takes(cfg.encoder._target_, "spread"):
+    if has_houses(cfg) and takes(cfg.encoder._target_, "spread"):
         parts["spread"] = instantiate(cfg.observation).spread
     return instantiate(cfg.encoder, observation_shape=seen, **parts)
 
@@ -259,7 +259,7 @@ def load_policy(folder: Path, channel: DictConfig | None = None) -> TensorDictMo
     """
     cfg = checked(load_config(folder))
     cfg.device = "cpu"
-    houses = held_out_houses(cfg, "validation", 1) if plays_houses(cfg) else None
+    houses = held_out_houses(cfg, "validation", 1) if has_houses(cfg) else None
     if channel is not None:
         cfg.channel = channel
     agent = make_agent(cfg, make_env(cfg, houses, num_envs=1))

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 import torch
 from omegaconf import DictConfig
 
-from marl_clean.config.compose import plays_houses
+from marl_clean.config.compose import has_houses
 from marl_clean.config.schema import instantiate
 from marl_clean.env.houses import step_limits
 from marl_clean.house.base import House, HouseLayout
@@ -35,7 +35,7 @@ def say_evaluation(cfg: DictConfig) -> None:
 
 def floor_plans(cfg: DictConfig, others: Iterable[str] = ()) -> list[HouseLayout]:
     """The floor plans of the config's house and those at `others`, each once."""
-    if not plays_houses(cfg):
+    if not has_houses(cfg):
         return []
     houses: list[House] = [*instantiate(cfg.house).parts(), *(FloorPlan(path) for path in others)]
     layouts = [house.layout(0) for house in houses if not house.generated]

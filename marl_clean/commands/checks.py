@@ -10,7 +10,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from marl_clean.config.class_source import constant
-from marl_clean.config.compose import plays_houses
+from marl_clean.config.compose import has_houses
 from marl_clean.config.fitting import check_fit
 from marl_clean.config.levels import level_of
 from marl_clean.config.schema import instantiate
@@ -29,7 +29,7 @@ def check_house(config: DictConfig) -> None:
     for sizes that allow no house, or larger ones than the observation has room for. Does
     nothing where there are no houses.
     """
-    if not plays_houses(config):
+    if not has_houses(config):
         return
     for part in instantiate(config.house).parts():
         houses = draw_houses(part, split_seeds("test", 1), config.env.n_agents)
@@ -39,14 +39,14 @@ def check_house(config: DictConfig) -> None:
 
 def check_shows_houses(config: DictConfig) -> None:
     """Raises BadInput where a command that shows houses is given a config without them."""
-    if not plays_houses(config):
-        raise BadInput("env: a task of others has no houses, which this command shows")
+    if not has_houses(config):
+        raise BadInput("env: an external task has no houses, which this command shows")
 
 
 def check_plans(config: DictConfig) -> None:
     """Raises BadInput for a plan of `evaluation.plans` that cannot be read, holds no robots, or
     is larger than the observation has room for."""
-    for path in config.evaluation.plans if plays_houses(config) else ():
+    for path in config.evaluation.plans if has_houses(config) else ():
         try:
             houses = draw_houses(FloorPlan(path), [], config.env.n_agents)
             _check_sees(config, *houses.free.shape[1:])
@@ -56,10 +56,10 @@ def check_plans(config: DictConfig) -> None:
 
 def check_teams(config: DictConfig) -> None:
     """Raises BadInput for a size of `evaluation.team_sizes` that the learner cannot have, or for
-    which the houses have no room; a task of others brings its own robots."""
+    which the houses have no room; an external task brings its own robots."""
     for size in config.evaluation.get("team_sizes", []):
-        if not plays_houses(config):
-            raise BadInput("evaluation.team_sizes: env is a task of others; valid: []")
+        if not has_houses(config):
+            raise BadInput("evaluation.team_sizes: env is an external task; valid: []")
         if "env.n_agents" in (constant(config.agent._target_, "sized_by") or []):
             level = level_of(config.agent._target_)
             raise BadInput(

@@ -58,7 +58,7 @@ def main(
             over(trained.config, section, houses)  # all are checked before one is measured
     from marl_clean import build
     from marl_clean.commands.compare import pooled
-    from marl_clean.evaluation.evaluator import as_ever, measure
+    from marl_clean.evaluation.evaluator import in_any_env, measure
     from marl_clean.evaluation.interventions import talking
     from marl_clean.evaluation.records import write_entries
     from marl_clean.report.axes import save_figure
@@ -74,7 +74,7 @@ def main(
                 policy = talking(build.load_policy(folder, cfg.channel).to(cfg.device), cfg.name)
                 epsilon = cfg.evaluation.epsilon
                 title = f"{label} | {name}"
-                entries.append(measure(cfg, partial(as_ever, policy), title, epsilon=epsilon))
+                entries.append(measure(cfg, partial(in_any_env, policy), title, epsilon=epsilon))
             cells[label, name] = pooled(entries, f"{label} | {name}")
     console.print(make_matrix(cells))
     for path in save_figure(draw_matrix(cells), RUNS / "figures" / "matrix"):

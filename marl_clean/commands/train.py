@@ -10,12 +10,12 @@ from rich.console import Console
 
 from marl_clean import build
 from marl_clean.commands._plan_lines import say_plans
-from marl_clean.config.compose import compose_config, plays_houses
+from marl_clean.config.compose import compose_config, has_houses
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import CONFIG, find_run, load_config
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.evaluator import (
-    as_ever,
+    in_any_env,
     measure,
     measure_beside_planners,
     measure_planner,
@@ -62,10 +62,10 @@ def train(cfg: DictConfig, folder: Path) -> Outcome:
     env = build.make_env(cfg)
     agent = build.make_agent(cfg, env)
     env = build.ready_for(agent, env)
-    only = {} if plays_houses(cfg) else {"select_by": "return"}  # all that is measured there
+    only = {} if has_houses(cfg) else {"select_by": "return"}  # all that is measured there
     trainer = instantiate(cfg.trainer, **only)
     trainer.check(env, agent)
-    if cfg.checkpoint is not None:  # a run that goes on puts its state over these weights
+    if cfg.checkpoint is not None:  # a resumed run puts its state over these weights
         build.start_from(agent, cfg)
     loggers = [instantiate(section, folder=folder) for section in cfg.logger.values()]
     try:
@@ -101,12 +101,12 @@ def measure_all(cfg: DictConfig, folder: Path) -> list[Entry]:
     for place, house_set in places(cfg):
         mine, *planners = measure_beside_planners(place, policies[cfg.name], cfg.name)
         before = [
-            measure(place, partial(as_ever, policy), name, epsilon=place.evaluation.epsilon)
+            measure(place, partial(in_any_env, policy), name, epsilon=place.evaluation.epsilon)
             for name, policy in policies.items()
             if name != cfg.name
         ]
-        found = [mine, *before, *planners]
-        entries += [{**entry, "house_set": house_set or entry["house_set"]} for entry in found]
+        measured = [mine, *before, *planners]
+        entries += [{**entry, "house_set": house_set or entry["house_set"]} for entry in measured]
     return entries
 
 
@@ -116,18 +116,18 @@ def places(cfg: DictConfig) -> list[tuple[DictConfig, str | None]]:
 
     Each is there once. Beside it is what its set of houses is called, where `test` would mean two.
     """
-    found: list[tuple[DictConfig, str | None]] = [(cfg, None)]
-    if not plays_houses(cfg):
-        return found
+    chosen: list[tuple[DictConfig, str | None]] = [(cfg, None)]
+    if not has_houses(cfg):
+        return chosen
     if cfg.checkpoint is not None:
         stored, old = load_config(find_run(cfg.checkpoint)), cfg.copy()
         old.house = stored["house"]
         generated = instantiate(cfg.house).generated and instantiate(old.house).generated
-        found.append((old, f"test of {stored['name']}" if generated else None))
-    found += [(on_plan(cfg, plan), None) for plan in cfg.evaluation.plans]
-    found += [(of_team(cfg, size), None) for size in cfg.evaluation.get("team_sizes", [])]
-    seen = [(place.house, place.env.n_agents) for place, _ in found]
-    return [each for index, each in enumerate(found) if seen[index] not in seen[:index]]
+        chosen.append((old, f"test of {stored['name']}" if generated else None))
+    chosen += [(on_plan(cfg, plan), None) for plan in cfg.evaluation.plans]
+    chosen += [(of_team(cfg, size), None) for size in cfg.evaluation.get("team_sizes", [])]
+    seen = [(place.house, place.env.n_agents) for place, _ in chosen]
+    return [each for index, each in enumerate(chosen) if seen[index] not in seen[:index]]
 
 
 def on_plan(cfg: DictConfig, plan: str) -> DictConfig:
@@ -148,12 +148,12 @@ def of_team(cfg: DictConfig, size: int) -> DictConfig:
 def draw(cfg: DictConfig, folder: Path) -> None:
     """Draw what is not drawn yet: the learning curve beside nearest_unknown, and an episode.
 
-    Of a task of others the curve alone.
+    Of an external task the curve alone.
     """
     metrics, curve, replay = (folder / name for name in ("metrics.csv", "curve.png", "replay.gif"))
     if metrics.is_file() and not curve.is_file():
-        draw_curve(metrics, curve, planner_means(cfg) if plays_houses(cfg) else None)
-    if plays_houses(cfg) and not replay.is_file():
+        draw_curve(metrics, curve, planner_means(cfg) if has_houses(cfg) else None)
+    if has_houses(cfg) and not replay.is_file():
         policy = build.load_policy(folder).to(cfg.device)
         make_replay(cfg, lambda env: policy, replay, cfg.evaluation.epsilon)
 

@@ -44,8 +44,8 @@ def unchecked(overrides: Sequence[str]) -> dict[str, Any]:
     return container(_composed(parse_overrides(overrides)))
 
 
-def plays_houses(config: DictConfig) -> bool:
-    """Whether the config's env is played in houses, or is a task of others that has none."""
+def has_houses(config: DictConfig) -> bool:
+    """Whether the config's env is played in houses, or is an external task that has none."""
     return class_source.takes(config.env._target_, "houses")
 
 

@@ -14,7 +14,7 @@ def check_fit(config: DictConfig) -> None:
     """Raises BadInput when two levels do not go together.
 
     A class may say in `fits` which levels of other rooms it goes with; an encoder `takes` the
-    form that the observation, or a task of others, `gives`; only squares can be turned.
+    form that the observation, or an external task, `gives`; only squares can be turned.
     """
     targets = {
         str(room): str(section["_target_"])

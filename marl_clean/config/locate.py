@@ -43,8 +43,8 @@ def packages() -> tuple[Package, ...]:
 
     Raises BadInput where a plugin has a level of a name that is taken.
     """
-    found = {package.name: package for package in (own(), *_installed(), *_named.values())}
-    return _disjoint(tuple(found.values()))
+    by_name = {package.name: package for package in (own(), *_installed(), *_named.values())}
+    return _disjoint(tuple(by_name.values()))
 
 
 def use_plugins(names: Sequence[str]) -> None:
@@ -143,10 +143,10 @@ def _check_rooms(name: str, conf: Path) -> None:
 
 
 @cache
-def _disjoint(found: tuple[Package, ...]) -> tuple[Package, ...]:
+def _disjoint(known: tuple[Package, ...]) -> tuple[Package, ...]:
     """The packages as they are. Raises BadInput where two have a level of one name."""
     owners: dict[str, str] = {}
-    for package in found:
+    for package in known:
         for path in sorted(package.conf.glob("*/*.yaml")):
             level = path.relative_to(package.conf).as_posix()
             owner = owners.setdefault(level, package.name)
@@ -155,4 +155,4 @@ def _disjoint(found: tuple[Package, ...]) -> tuple[Package, ...]:
                     f"plugin {package.name}: conf/{level} is a level of {owner} already; rename "
                     f"it, or leave {package.name} out"
                 )
-    return found
+    return known

@@ -10,7 +10,7 @@ from torchrl.envs import EnvBase
 from marl_clean.world.random import Purpose
 
 
-class Played(EnvBase):
+class BatchedEnv(EnvBase):
     """A batch of `num_envs` worlds, each with the same `n_agents` robots.
 
     What a robot is paid, `("agents", "reward")`, is its only reward; what it earned itself,
@@ -19,13 +19,13 @@ class Played(EnvBase):
     parameter `houses`, and who may talk to whom otherwise.
 
     Attributes:
-        goes_on_exactly: `load_state_dict` brings back the middle of an episode; otherwise an
+        resumes_exactly: `load_state_dict` brings back the middle of an episode; otherwise an
             interrupted run begins new episodes.
     """
 
     n_agents: int
     num_envs: int
-    goes_on_exactly: ClassVar[bool] = True
+    resumes_exactly: ClassVar[bool] = True
 
     def draw(self, purpose: Purpose) -> Int[Tensor, "env agent"]:
         """Draw a number in [0, 2^32) for each robot in this step, from torch's generator."""

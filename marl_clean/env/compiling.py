@@ -5,7 +5,7 @@ from typing import Any
 
 import torch
 
-from marl_clean.env.base import Played
+from marl_clean.env.base import BatchedEnv
 
 OPTIONS = {
     "reorder_for_locality": False,  # reads put after writes would keep a copy of the map for them
@@ -13,7 +13,7 @@ OPTIONS = {
 }
 
 
-class Compiling(Played):
+class Compiling(BatchedEnv):
     """An env whose `compile` compiles the pure functions that it asks `compiled` for."""
 
     _compiled: dict[Callable, Callable] | None = None

@@ -1,4 +1,4 @@
-"""Tasks of others: copies of a PettingZoo parallel env, in the keys of this package."""
+"""External tasks: copies of a PettingZoo parallel env, in the keys of this package."""
 
 import importlib
 import warnings
@@ -15,7 +15,7 @@ from torchrl.envs.libs.pettingzoo import PettingZooWrapper
 
 from marl_clean import keys
 from marl_clean.config.schema import mismatch
-from marl_clean.env.base import Played
+from marl_clean.env.base import BatchedEnv
 from marl_clean.errors import BadInput
 from marl_clean.settings import Form, Options, Task, Worlds
 from marl_clean.world.random import Purpose, random_bits
@@ -26,7 +26,7 @@ Among = Callable[[int], Bool[Tensor, "agent agent"]]
 
 
 @final
-class PettingZoo(Played):
+class PettingZoo(BatchedEnv):
     """Somebody else's task, through PettingZoo: other agents than robots, the same learners.
 
     ## Description
@@ -55,7 +55,7 @@ class PettingZoo(Played):
     which agents drop out one by one is so cut at the first.
 
     ## Going on
-    A task of others cannot be saved in the middle of an episode: a run that goes on keeps
+    An external task cannot be saved in the middle of an episode: a run that goes on keeps
     counting its episodes and begins new ones.
 
     Args:
@@ -74,7 +74,7 @@ class PettingZoo(Played):
 
     episode: Int[Tensor, " env"]  # which each copy plays
     batch_locked = True
-    goes_on_exactly: ClassVar[bool] = False
+    resumes_exactly: ClassVar[bool] = False
     gives = Form.VECTOR
 
     def __init__(

@@ -8,7 +8,7 @@ from omegaconf import DictConfig
 from rich import box
 from rich.table import Table
 
-from marl_clean.evaluation.evaluator import OnProgress, as_ever, measure
+from marl_clean.evaluation.evaluator import OnProgress, in_any_env, measure
 from marl_clean.evaluation.interventions import INTERVENTIONS, intervened, talking
 from marl_clean.evaluation.listening import listening
 from marl_clean.evaluation.paired import Row, differences, make_paired_table
@@ -40,7 +40,7 @@ def intervene(
         label = f"{name} | {intervention}"
         entry = measure(
             cfg,
-            partial(as_ever, changed),
+            partial(in_any_env, changed),
             label,
             epsilon=epsilon,
             seeded=True,
@@ -51,14 +51,14 @@ def intervene(
 
 def change(entry: Entry, untouched: Entry) -> dict[str, Any]:
     """Every measure's paired difference."""
-    found = {}
+    changes = {}
     for name in MEASURES:
         if name in entry["houses"][0] and name in untouched["houses"][0]:
             ours, theirs = (sample([one["houses"]], name) for one in (entry, untouched))
             difference = paired_difference(ours, theirs)
             interval = None if difference.ci95 is None else list(difference.ci95)
-            found[name] = {"mean": difference.mean, "ci95": interval}
-    return found
+            changes[name] = {"mean": difference.mean, "ci95": interval}
+    return changes
 
 
 def make_causal_tables(entries: Sequence[Entry]) -> list[Table]:
@@ -66,14 +66,14 @@ def make_causal_tables(entries: Sequence[Entry]) -> list[Table]:
     untouched, *changed = entries
     reference = Row("untouched", {0: untouched})
     rows = [Row(entry["policy"].rpartition(" | ")[2], {0: entry}) for entry in changed]
-    told = untouched["listening"]
+    summary = untouched["listening"]
     table = Table(
         title="listening: what replaced messages would do, untouched play",
         caption=(
             "Of robots that hear somebody. moved: mean |Q' - Q| over the spread of Q between\n"
             "actions (a shift of all alike changes none); switched: the best action is another;\n"
-            f"kl, cic: nats, softmax at temperature {told['temperature']}; cic: information\n"
-            f"between message and action, over {told['messages']} messages."
+            f"kl, cic: nats, softmax at temperature {summary['temperature']}; cic: information\n"
+            f"between message and action, over {summary['messages']} messages."
         ),
         caption_justify="left",
         box=box.SIMPLE_HEAD,
@@ -82,13 +82,13 @@ def make_causal_tables(entries: Sequence[Entry]) -> list[Table]:
     for title in ("replaced by", *columns, "cic"):
         table.add_column(title, justify="right", no_wrap=True)
     for index, name in enumerate(("zero", "shuffle")):
-        cells = [_cell(told[f"{name}_{column}"]) for column in columns]
-        table.add_row(name, *cells, _cell(told["cic"]) if index else "")
+        cells = [_cell(summary[f"{name}_{column}"]) for column in columns]
+        table.add_row(name, *cells, _cell(summary["cic"]) if index else "")
     return [make_paired_table(differences(rows, reference), reference), table]
 
 
-def _cell(found: dict[str, Any]) -> str:
-    if found["mean"] is None:
+def _cell(estimated: dict[str, Any]) -> str:
+    if estimated["mean"] is None:
         return "-"
-    low, high = found["ci95"]
-    return f"{found['mean']:.3f} [{low:.3f}, {high:.3f}]"
+    low, high = estimated["ci95"]
+    return f"{estimated['mean']:.3f} [{low:.3f}, {high:.3f}]"

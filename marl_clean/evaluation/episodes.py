@@ -1,4 +1,4 @@
-"""Any policy on a task of others: its return over seeded episodes, for want of houses.
+"""Any policy on an external task: its return over seeded episodes, for want of houses.
 
 Episode i is that of env i, with the same seed for every policy. As in houses, nothing here draws
 from a global generator.
@@ -39,8 +39,10 @@ def measure_return(cfg: DictConfig, policy: nn.Module | None, name: str, seed: i
         env = build.make_env(cfg, num_envs=num_envs, first_env=first)
         records += play(env, policy, share, seed)
         env.close()
-    told = 0.0 if policy is None else epsilon  # as of planners: they do not explore
-    entry = make_entry(name, cfg.env.task, config_hash(cfg), told, env.base_env.n_agents, records)
+    explored = 0.0 if policy is None else epsilon  # as of planners: they do not explore
+    entry = make_entry(
+        name, cfg.env.task, config_hash(cfg), explored, env.base_env.n_agents, records
+    )
     return {**entry, "world": None}  # its rules are not ours
 
 

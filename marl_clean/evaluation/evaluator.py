@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torchrl.envs import TransformedEnv
 
 from marl_clean import build
-from marl_clean.config.compose import plays_houses
+from marl_clean.config.compose import has_houses
 from marl_clean.config.config_hash import config_hash
 from marl_clean.config.levels import read_level
 from marl_clean.config.schema import instantiate
@@ -112,9 +112,9 @@ def held_out_env(
 def validate(cfg: DictConfig, policy: nn.Module) -> dict[str, float]:
     """The means by which training chooses its weights: on validation houses, as in tests.
 
-    Of a task of others: its return.
+    Of an external task: its return.
     """
-    if not plays_houses(cfg):
+    if not has_houses(cfg):
         entry = measure_return(cfg, policy, cfg.name, START_SEEDS["validation"])
         return {"return": entry["summary"]["return"]["mean"]}
     section = cfg.evaluation
@@ -160,7 +160,7 @@ def measure_planner(cfg: DictConfig, on_progress: OnProgress | None = None) -> E
 
     Raises BadInput where there are no houses to plan in.
     """
-    if not plays_houses(cfg):
+    if not has_houses(cfg):
         raise BadInput("checkpoint=null: planners need houses, which env has none of; give a run")
     name = instantiate(cfg.planner).label
     return measure(cfg, lambda env: build.make_planner(cfg, env), name, on_progress=on_progress)
@@ -171,9 +171,9 @@ def measure_beside_planners(
 ) -> Iterator[Entry]:
     """A learned policy, then random and nearest_unknown (none, greedy) on the same houses.
 
-    Each is measured when it is asked for. On a task of others, random alone.
+    Each is measured when it is asked for. On an external task, random alone.
     """
-    if not plays_houses(cfg):
+    if not has_houses(cfg):
         seed = START_SEEDS[cfg.evaluation.house_set]
         both: tuple[tuple[nn.Module | None, str], ...] = ((policy, name), (None, RANDOM))
         yield from (measure_return(cfg, one, called, seed) for one, called in both)
@@ -228,7 +228,7 @@ def with_random_actions(
     return torch.where(explores, random_below(4, *words, 1), action)
 
 
-def as_ever(policy: nn.Module, env: TransformedEnv) -> nn.Module:
+def in_any_env(policy: nn.Module, env: TransformedEnv) -> nn.Module:
     """The policy for an env: a network is the same in all."""
     return policy
 

@@ -76,16 +76,16 @@ def differences_of(
     others: Sequence[Float[Tensor, "env agent action"]],
 ) -> dict[str, Float[Tensor, "env agent"]]:
     """What replaced messages do to the action values, robot by robot."""
-    found = {}
+    differences = {}
     chance = _policy(value)
     spread = (value.amax(-1) - value.amin(-1)).clamp(min=1e-8)
     for name, other in (("zero", zeros), ("shuffle", others[0])):
-        found[f"{name}_moved"] = (other - value).abs().mean(-1) / spread
-        found[f"{name}_switched"] = (other.argmax(-1) != value.argmax(-1)).to(value.dtype)
-        found[f"{name}_kl"] = _divergence(chance, _policy(other))
+        differences[f"{name}_moved"] = (other - value).abs().mean(-1) / spread
+        differences[f"{name}_switched"] = (other.argmax(-1) != value.argmax(-1)).to(value.dtype)
+        differences[f"{name}_kl"] = _divergence(chance, _policy(other))
     drawn = torch.stack([_policy(other) for other in others])
-    found["cic"] = _divergence(drawn, drawn.mean(0).expand_as(drawn)).mean(0)
-    return {name: values.double() for name, values in found.items()}
+    differences["cic"] = _divergence(drawn, drawn.mean(0).expand_as(drawn)).mean(0)
+    return {name: values.double() for name, values in differences.items()}
 
 
 def _policy(value: Float[Tensor, "*batch action"]) -> Float[Tensor, "*batch action"]:
@@ -103,5 +103,8 @@ def _shuffle(shift: int, dims: tuple[int, ...]) -> Shuffle:
 
 
 def _told(values: Float[np.ndarray, " house"]) -> dict[str, Any]:
-    found = estimate(values[None])
-    return {"mean": found.mean, "ci95": None if found.ci95 is None else list(found.ci95)}
+    estimated = estimate(values[None])
+    return {
+        "mean": estimated.mean,
+        "ci95": None if estimated.ci95 is None else list(estimated.ci95),
+    }

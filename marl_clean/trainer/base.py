@@ -39,7 +39,7 @@ class Trainer(ABC):
     Every block of frames: collect with exploration, and learn. At fixed frames: log, evaluate and
     keep the best weights, save the state. The same call resumes exactly from the newest state:
     on a CPU with one thread its weights and rows are those of the uninterrupted run. Only where the
-    env cannot be saved in the middle of its episodes (`goes_on_exactly`) does it begin new ones.
+    env cannot be saved in the middle of its episodes (`resumes_exactly`) does it begin new ones.
     """
 
     total_frames: int
@@ -257,7 +257,7 @@ class TrainingLoop(ABC):
         self.best.record = state["best"]
         self.agent.load_state_dict(state["agent"])
         self.env.base_env.load_state_dict(state["env"])
-        if self.env.base_env.goes_on_exactly:
+        if self.env.base_env.resumes_exactly:
             self.collector.restore(state["carried"].to(device))
         else:
             log.warning("frame %d: resumes with new episodes; env cannot save its own", self.frames)

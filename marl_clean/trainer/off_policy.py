@@ -141,7 +141,7 @@ class OffPolicyLoop(TrainingLoop):
 
     def restore_own(self, state: Mapping[str, Any]) -> None:
         device = self.env.device
-        if self.env.base_env.goes_on_exactly:
+        if self.env.base_env.resumes_exactly:
             windows, rows = state["windows"], state.get("rows")
             self.windows.restore(None if windows is None else windows.to(device))
             if self.rows is not None and rows is not None:

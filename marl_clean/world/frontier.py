@@ -19,8 +19,8 @@ def steps_to_frontier(state: State, rules: Rules) -> Float[Tensor, "env map heig
     and its ring. The flood runs over these, and costs them times the longest way.
     """
     ring = rules.margin - 1
-    matrix = slice(ring, -ring or None)
-    record = state.record[..., matrix, matrix]
+    height, width = state.record.shape[-2:]
+    record = state.record[..., ring : height - ring, ring : width - ring]
     now = (state.step + 1).to(record.dtype).view(-1, 1, 1, 1)
     height, width = record.shape[-2:]
     own = inside_house(state.rows + 2, state.cols + 2, height, width, margin=0)

@@ -69,7 +69,7 @@ MORE_BAD_COMMANDS = {
     "train evaluation.team_sizes=[99]": "evaluation.team_sizes: 99: ",
     "train -m evaluation.team_sizes=[99] seed=1,2": "evaluation.team_sizes: 99: ",
     "train +experiment=paper_central evaluation.team_sizes=[3]": "agent=central_dqn is of env.n",
-    "train +experiment=spread evaluation.team_sizes=[3]": "a task of others; valid: []",
+    "train +experiment=spread evaluation.team_sizes=[3]": "an external task; valid: []",
     "train -m agent.lr=1,2 sed=3": "did you mean seed?",
     "train encoder.channels=[1,2]": "encoder.strides: 3 strides for 2 convolutions",
     "train encoder.kernel_size=99": "encoder.channels: a view of 15 is too small",

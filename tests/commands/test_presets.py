@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 
 from marl_clean import cli
 from marl_clean.config import compose
-from marl_clean.config.compose import compose_config, plays_houses
+from marl_clean.config.compose import compose_config, has_houses
 from marl_clean.config.levels import PRESETS, conf_folder
 from marl_clean.config.presets import read_preset
 from marl_clean.config.schema import instantiate
@@ -59,7 +59,7 @@ def wants_a_run(preset: str) -> bool:
 
 def settings_of(preset: str, request: pytest.FixtureRequest) -> list[str]:
     settings = [f"+experiment={preset}", *TINY]
-    if plays_houses(compose_config([f"experiment={preset}"])):
+    if has_houses(compose_config([f"experiment={preset}"])):
         settings.append("env.max_steps=20")
     if wants_a_run(preset):
         settings.append(f"checkpoint={request.getfixturevalue('trained')}")
@@ -87,7 +87,7 @@ def test_a_preset_trains_and_measures(
     entries = read_entries(folder / "evaluation.json")
     config = load_config(folder)
     assert entries[0]["policy"] == config["name"] == folder.name
-    if not plays_houses(OmegaConf.create(config)):
+    if not has_houses(OmegaConf.create(config)):
         assert [entry["policy"] for entry in entries] == [folder.name, "random"]
         assert all(math.isfinite(entry["summary"]["return"]["mean"]) for entry in entries)
         return

@@ -1,4 +1,4 @@
-"""Tasks of others under our learners: the same play as without us, and what a run leaves."""
+"""External tasks under our learners: the same play as without us, and what a run leaves."""
 
 import csv
 import json

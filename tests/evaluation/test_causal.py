@@ -12,7 +12,7 @@ from marl_clean.channel.base import Step
 from marl_clean.config.compose import compose_config
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.causal import change
-from marl_clean.evaluation.evaluator import as_ever, evaluate
+from marl_clean.evaluation.evaluator import evaluate, in_any_env
 from marl_clean.evaluation.interventions import (
     INTERVENTIONS,
     Freeze,
@@ -119,7 +119,7 @@ def policy_of(*settings: str):
 
 def played(cfg, policy, count: int = 5):
     return evaluate(
-        cfg, lambda env: as_ever(policy, env), house_set="test", count=count, seeded=True
+        cfg, lambda env: in_any_env(policy, env), house_set="test", count=count, seeded=True
     )
 
 
