@@ -47,7 +47,7 @@ def run_script(tmp_path: Path) -> Callable[[str], None]:
         python = environment / Path(sys.executable).relative_to(sys.prefix)
         command = [str(python), "-W", "ignore", "-m", module]
         root = Path(__file__).parents[1]
-        done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=400)
+        done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=1200)
         assert done.returncode == 0, done.stderr
 
     return run

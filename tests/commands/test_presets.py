@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 from marl_clean import cli
 from marl_clean.config import compose
 from marl_clean.config.compose import compose_config, has_houses
-from marl_clean.config.levels import PRESETS, conf_folder
+from marl_clean.config.levels import PRESETS, conf_folder, rooms
 from marl_clean.config.presets import read_preset
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import load_config
@@ -111,7 +111,7 @@ def test_what_is_read_in_a_preset_is_what_hydra_composes(path: Path) -> None:
     theirs = OmegaConf.to_container(compose_config([*given, "name=x"]))
     assert ours | {"name": "x"} == theirs
     levels, _ = read_preset(path)
-    assert set(levels) <= set(levels.rooms())
+    assert set(levels) <= set(rooms())
 
 
 def test_single_rooms_have_no_wall_inside() -> None:
