@@ -11,14 +11,14 @@ from tensordict import TensorDict
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 
 from marl_clean import keys
-from marl_clean.env.base import Played
+from marl_clean.env.base import BatchedEnv
 
 SIDE = 9
 CELLS = ((1, 4), (4, 7), (7, 4), (4, 1))
 N_AGENTS = 2
 
 
-class Probe(Played):
+class Probe(BatchedEnv):
     """Episodes end after 5 steps, terminated in even worlds and truncated in odd ones."""
 
     batch_locked = True
