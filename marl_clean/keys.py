@@ -12,6 +12,7 @@ ADJACENCY = (AGENTS, "adjacency")  # *B n n bool, symmetric, false on the diagon
 DISTANCE_RANK = (AGENTS, "distance_rank")  # *B n n int64, 0 itself, 1 the nearest, ...
 
 ACTION = (AGENTS, "action")  # *B n int64: 0 up, 1 right, 2 down, 3 left
+ACTION_MASK = (AGENTS, "action_mask")  # *B n 4 bool: true where an action may be chosen
 ACTION_VALUE = (AGENTS, "action_value")  # *B n 4 float32
 LOGITS = (AGENTS, "logits")  # *B n 4 float32, of a policy that draws its actions
 LOG_PROB = (AGENTS, "action_log_prob")  # *B n float32: of the action drawn
