@@ -7,13 +7,19 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 OUTSIDE_THE_HASH = ("hydra", "name", "device", "logger", "checkpoint", "out")
-UNLESS_NULL = ("weights", "parameter_budget", "house.free_colours")
+LATER: dict[str, Any] = {
+    "weights": None,
+    "parameter_budget": None,
+    "house.free_colours": None,
+    "encoder.norm": "none",
+}
+"""Keys that came later, each with the value by which all is as it was before there was a key."""
 
 
 def config_hash(config: DictConfig) -> str:
     """sha256 over sorted compact JSON of what decides a run's result.
 
-    Keys of `UNLESS_NULL` came later: without a value the hash is what it was before them.
+    Keys of `LATER` that have their earlier value leave the hash what it was before them.
     """
     content = {
         key: _without_later(value, f"{key}.") if isinstance(value, dict) else value
@@ -27,11 +33,11 @@ def config_hash(config: DictConfig) -> str:
 
 
 def _without_later(section: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The section without those of `UNLESS_NULL` that have no value."""
+    """The section without those of `LATER` that have their earlier value."""
     return {
         key: value
         for key, value in section.items()
-        if value is not None or f"{prefix}{key}" not in UNLESS_NULL
+        if f"{prefix}{key}" not in LATER or value != LATER[f"{prefix}{key}"]
     }
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from marl_clean.errors import BadInput
-from marl_clean.settings import Recurrence
+from marl_clean.settings import Norm, Recurrence
 
 
 class Encoder(nn.Module, ABC):
@@ -44,13 +44,16 @@ class Encoder(nn.Module, ABC):
         self.memory = nn.GRUCell(width, width) if memory == "gru" else None
 
 
-def connect(widths: Sequence[int], dropout: float) -> nn.Sequential:
+def connect(widths: Sequence[int], dropout: float, norm: Norm = "none") -> nn.Sequential:
     """Return fully connected layers from widths[0] to widths[-1].
 
-    Each is followed by a ReLU and, if asked for, dropout.
+    Each is followed by a ReLU and, if asked for, dropout; with `norm=layer` by a LayerNorm before
+    the ReLU (arXiv 1607.06450).
     """
     layers: list[nn.Module] = []
     for before, after in pairwise(widths):
-        layers += [nn.Linear(before, after), nn.ReLU(inplace=True)]
+        layers.append(nn.Linear(before, after))
+        layers += [nn.LayerNorm(after)] if norm == "layer" else []
+        layers.append(nn.ReLU(inplace=True))
         layers += [nn.Dropout(dropout)] if dropout else []
     return nn.Sequential(*layers)

@@ -12,7 +12,15 @@ from torch import Tensor, nn
 from marl_clean.encoder._convolved import check_strides, side_after
 from marl_clean.encoder.base import Encoder, connect
 from marl_clean.errors import BadInput
-from marl_clean.settings import Form, Layers, NonNegativeInt, PositiveInt, Probability, Recurrence
+from marl_clean.settings import (
+    Form,
+    Layers,
+    NonNegativeInt,
+    Norm,
+    PositiveInt,
+    Probability,
+    Recurrence,
+)
 
 Spread = Callable[[Tensor], Tensor]
 """Spreads observations `[*batch, channel, row, col]` over more planes."""
@@ -36,6 +44,7 @@ class Cnn(Encoder):
         planes: spread the observation's codes over planes first, as `spread` does.
         channels_last: memory format of the convolutions; faster on a CPU, the same result.
         memory: `gru`: the features go through a GRU that remembers those of earlier steps.
+        norm: `layer`: each fully connected layer is normalised before its ReLU.
         spread: what `planes` asks for, as the observation defines it; null: nothing to spread.
 
     Raises:
@@ -57,6 +66,7 @@ class Cnn(Encoder):
         planes: bool,
         channels_last: bool,
         memory: Recurrence = "none",
+        norm: Norm = "none",
         spread: Spread | None = None,
     ) -> None:
         super().__init__()
@@ -78,7 +88,7 @@ class Cnn(Encoder):
         sides = [side_after(side, kernel_size, strides, padding) for side in sides]
         self.convolutions = nn.Sequential(*convolutions)
         self.convolutions.to(memory_format=self.memory_format)  # type: ignore[call-overload]
-        self.connected = connect([channels[-1] * math.prod(sides), *hidden], dropout)
+        self.connected = connect([channels[-1] * math.prod(sides), *hidden], dropout, norm)
         self.observation_shape = tuple(observation_shape)
         self.out_features = hidden[-1]
         self.remember(memory)

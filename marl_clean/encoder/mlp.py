@@ -8,7 +8,7 @@ from torch import Tensor
 
 from marl_clean.encoder.base import Encoder, connect
 from marl_clean.errors import BadInput
-from marl_clean.settings import Form, Layers, Probability, Recurrence
+from marl_clean.settings import Form, Layers, Norm, Probability, Recurrence
 
 
 @final
@@ -23,6 +23,7 @@ class Mlp(Encoder):
         hidden: width of each layer; the last is the feature's.
         dropout: share of hidden units dropped while learning.
         memory: `gru`: the features go through a GRU that remembers those of earlier steps.
+        norm: `layer`: each fully connected layer is normalised before its ReLU.
 
     Raises:
         BadInput: one robot's observation is no vector.
@@ -36,11 +37,12 @@ class Mlp(Encoder):
         hidden: Layers,
         dropout: Probability,
         memory: Recurrence = "none",
+        norm: Norm = "none",
     ) -> None:
         super().__init__()
         if len(observation_shape) != 1:
             raise BadInput(f"encoder=mlp: takes a vector, not {list(observation_shape)}")
-        self.connected = connect([observation_shape[0], *hidden], dropout)
+        self.connected = connect([observation_shape[0], *hidden], dropout, norm)
         self.observation_shape = tuple(observation_shape)
         self.out_features = hidden[-1]
         self.remember(memory)

@@ -10,10 +10,10 @@ from marl_clean.settings import Form
 from marl_clean.testing import ContractBroken, check_encoder
 
 
-@pytest.mark.parametrize("memory", ["none", "gru"])
+@pytest.mark.parametrize(("memory", "norm"), [("none", "none"), ("gru", "none"), ("none", "layer")])
 @pytest.mark.parametrize("level", rooms()["encoder"])
-def test_the_contract(level: str, memory: str) -> None:
-    check_encoder(level, memory=memory)
+def test_the_contract(level: str, memory: str, norm: str) -> None:
+    check_encoder(level, memory=memory, norm=norm)
 
 
 class Right(Encoder):

@@ -8,9 +8,9 @@ from marl_clean.encoder.mlp import Mlp
 from marl_clean.errors import BadInput
 
 
-def make(entries: int = 8, hidden: tuple[int, ...] = (16, 12), dropout: float = 0.0) -> Mlp:
+def make(entries: int = 8, hidden: tuple[int, ...] = (16, 12), dropout: float = 0.0, **rest) -> Mlp:
     torch.manual_seed(0)
-    return Mlp(torch.Size([entries]), list(hidden), dropout)
+    return Mlp(torch.Size([entries]), list(hidden), dropout, **rest)
 
 
 @pytest.mark.parametrize("leading", [(), (3,), (2, 3)])
@@ -36,3 +36,14 @@ def test_squares_are_for_the_other():
         Mlp(torch.Size([1, 5, 5]), [4], 0.0)
     with pytest.raises(BadInput, match=r"encoder=cnn: takes squares, not \[8\]"):
         Cnn(torch.Size([8]), [4], 3, [1], 1, [4], 0.0, True, True)
+
+
+def test_layers_are_normalised_before_their_relu():
+    encoder, plain, seen = make(norm="layer"), make(), 5 + 3 * torch.rand(4, 2, 8)
+    expected = seen
+    for layer in [module for module in plain.connected if isinstance(module, torch.nn.Linear)]:
+        out = layer(expected)
+        centred = out - out.mean(-1, keepdim=True)
+        expected = (centred / (centred.square().mean(-1, keepdim=True) + 1e-5).sqrt()).relu()
+    torch.testing.assert_close(encoder(seen), expected)
+    assert not torch.allclose(plain(seen), expected)
