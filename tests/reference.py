@@ -53,7 +53,7 @@ class Settings:
     memory: Memory = Memory.SHARED
     knowledge: Knowledge = Knowledge.UNKNOWN
     sensor: Sensor = Sensor.BUMP
-    decay_steps: int = 200
+    decay_steps: int | None = 200  # None: what is clean stays clean
     decay: Decay = Decay.FORMULA
     uncleaned_at_most: Fraction | float = 0  # in [0, 0.5): a cell counts as uncleaned iff v <= it
     unknown_value: Fraction | float = UNKNOWN  # v of an unknown cell: -0.2 or 0
@@ -69,11 +69,15 @@ class Settings:
 
     @property
     def decay_per_step(self) -> Fraction:
+        if self.decay_steps is None:
+            return Fraction(0)
         return Fraction(1 if self.decay is Decay.FORMULA else HALF, self.decay_steps)
 
     @property
-    def dirty_age(self) -> int:
-        """A cell is dirty when its age >= ceil(0.5 / decay)."""
+    def dirty_age(self) -> float:
+        """A cell is dirty when its age >= ceil(0.5 / decay); without decay at no age."""
+        if self.decay_steps is None:
+            return math.inf
         return math.ceil(JUST_CLEANED / self.decay_per_step)
 
     @property

@@ -26,6 +26,8 @@ ROBOT_VALUE = 1.0
 CLEANED_VALUE = 0.5
 DIRTY_VALUE = 0.0
 
+NEVER = 1 << 30  # above every age: records hold up to 2^22 steps
+
 Margin = PositiveInt  # a name of its own, no setting's: who builds the env hands it over
 
 
@@ -40,7 +42,8 @@ class Rules:
         knowledge: what the map holds at step 0: unknown, memorised or stale.
         sensor: how walls become known: bump, or touch4 (the four neighbours of every robot are
             known).
-        decay_steps: C, the steps after which a cell counts as dirty again.
+        decay_steps: C, the steps after which a cell counts as dirty again; None: what is clean
+            stays clean, and is shown as 0.5.
         decay: whether a cleaned cell falls by 1/C or by 0.5/C a step.
         uncleaned_at_most: cells with a value up to this count as uncleaned, in [0, 0.5).
         unknown_pays_as: v of an unknown (or wrongly blocked) cell in 2 - 2 v, -0.2 or 0.
@@ -50,7 +53,8 @@ class Rules:
         bump_noise: probability that a bump goes unnoticed: nothing is written, nothing paid.
         margin: cells around the house in every stored matrix: the ring's 1 and half the view.
         decay_a_step: how much the shown value of a cleaned cell falls a step.
-        dirty_after: the age in steps from which a cell is dirty, ceil(0.5 / decay).
+        dirty_after: the age in steps from which a cell is dirty, ceil(0.5 / decay); NEVER
+            without decay.
         uncleaned_after: the age from which entering a cell pays as cleaning: the smallest whose
             value is at most `uncleaned_at_most`.
 
@@ -61,7 +65,7 @@ class Rules:
     memory: Memory = Memory.SHARED
     knowledge: Knowledge = Knowledge.UNKNOWN
     sensor: Sensor = Sensor.BUMP
-    decay_steps: PositiveInt = 200
+    decay_steps: PositiveInt | None = 200
     decay: Decay = Decay.FORMULA
     uncleaned_at_most: UncleanedAtMost = 0.0
     unknown_pays_as: UnknownPaysAs = UNKNOWN_VALUE
@@ -82,8 +86,12 @@ class Rules:
 
         # Ages are decided on fractions, once: floats would round at the thresholds.
         half = Fraction(1, 2)
-        decay = (1 if self.decay is Decay.FORMULA else half) / Fraction(self.decay_steps)
         threshold = Fraction(str(self.uncleaned_at_most))
+        decay, dirty_after, uncleaned_after = Fraction(0), NEVER, NEVER
+        if self.decay_steps is not None:
+            decay = (1 if self.decay is Decay.FORMULA else half) / Fraction(self.decay_steps)
+            dirty_after = math.ceil(half / decay)
+            uncleaned_after = math.ceil((half - threshold) / decay)
         object.__setattr__(self, "decay_a_step", float(decay))
-        object.__setattr__(self, "dirty_after", math.ceil(half / decay))
-        object.__setattr__(self, "uncleaned_after", math.ceil((half - threshold) / decay))
+        object.__setattr__(self, "dirty_after", dirty_after)
+        object.__setattr__(self, "uncleaned_after", uncleaned_after)

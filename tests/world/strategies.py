@@ -140,7 +140,7 @@ def settings(draw: st.DrawFn) -> Settings:
         memory=draw(st.sampled_from(Memory)),
         knowledge=draw(st.sampled_from(Knowledge)),
         sensor=draw(st.sampled_from(Sensor)),
-        decay_steps=draw(st.one_of(st.integers(1, 16), st.just(200))),
+        decay_steps=draw(st.one_of(st.integers(1, 16), st.sampled_from([200, None]))),
         decay=draw(st.sampled_from(Decay)),
         uncleaned_at_most=draw(
             st.sampled_from([Fraction(0), Fraction(1, 10), Fraction(1, 4), Fraction(499, 1000)])

@@ -235,6 +235,15 @@ class TestDecay:
             seen.append(left.seen(0)[0, 0])
         assert seen == decimal(*values)
 
+    @pytest.mark.parametrize("decay", Decay)
+    def test_without_decay_what_is_clean_stays_clean(self, decay: Decay) -> None:
+        left = world("0..", decay=decay, decay_steps=None, uncleaned_at_most=JUST_UNDER_HALF)
+        left.step([RIGHT])
+        for _ in range(300):
+            left.step([UP])
+        assert left.seen(0)[0, 0] == Fraction(1, 2)
+        assert own(left, LEFT) == [-1]
+
     @pytest.mark.parametrize(("decay", "age"), [(Decay.FORMULA, 100), (Decay.SENTENCE, 200)])
     def test_dirty_age_of_the_default(self, decay: Decay, age: int) -> None:
         assert Settings(decay=decay).dirty_age == age

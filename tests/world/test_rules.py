@@ -7,7 +7,7 @@ from marl_clean.config.compose import compose_config
 from marl_clean.config.schema import instantiate
 from marl_clean.errors import BadInput
 from marl_clean.settings import Memory
-from marl_clean.world.rules import Rules
+from marl_clean.world.rules import NEVER, Rules
 
 WRONG = {
     "uncleaned_at_most": 0.5,
@@ -24,6 +24,12 @@ def test_a_rule_out_of_range_is_refused_in_python_and_in_a_config(name: str) -> 
         Rules(**{name: WRONG[name]})
     with pytest.raises(BadInput, match=f"^env.{name}: must be "):
         compose_config([f"env.{name}={WRONG[name]}"])
+
+
+def test_without_decay_no_age_is_too_old() -> None:
+    rules = Rules(decay_steps=None, uncleaned_at_most=0.499)
+    assert (rules.decay_a_step, rules.dirty_after, rules.uncleaned_after) == (0, NEVER, NEVER)
+    assert compose_config(["env.decay_steps=null"]).env.decay_steps is None
 
 
 def test_the_margin_is_handed_over_and_no_setting() -> None:
