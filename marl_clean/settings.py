@@ -133,6 +133,7 @@ PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 UncleanedAtMost = Annotated[float, Field(ge=0, lt=0.5)]  # a cleaned cell is shown as 0.5 at most
+WallPays = Annotated[float, Field(ge=0, le=2)]  # at most what an unknown free cell pays
 UnknownPaysAs = Annotated[float, AfterValidator(_pays_as)]
 Scales = Annotated[int, Field(ge=2, le=4)]
 RangeCells = Annotated[int, Field(ge=1, le=1024)]

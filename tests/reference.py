@@ -59,6 +59,7 @@ class Settings:
     unknown_value: Fraction | float = UNKNOWN  # v of an unknown cell: -0.2 or 0
     cases: Cases = Cases.ADD
     obstacles: ObstaclePay = ObstaclePay.FIRST
+    wall_pays: Fraction | float = 2  # what learning of a wall pays
     bump_noise: float = 0.0  # who misses which bump is drawn elsewhere, and handed to the world
     max_steps: int | None = None  # None: 4 * R * C // n_agents + 50
     stuck_after: int | None = 100  # None: off
@@ -419,7 +420,8 @@ class World:
 
         step = Fraction(-1)
         cleaning = 2 - 2 * v if uncleaned else Fraction(0)
-        discovery = Fraction(2 if learnt else 0)
+        pays = Fraction(2) if moved else exact(settings.wall_pays)
+        discovery = pays if learnt else Fraction(0)
         if settings.cases is Cases.EXCLUDE and learnt:
             return Fraction(0), Fraction(0), discovery
         if settings.cases is Cases.EXCLUDE and uncleaned:

@@ -12,6 +12,7 @@ LATER: dict[str, Any] = {
     "parameter_budget": None,
     "house.free_colours": None,
     "encoder.norm": "none",
+    "env.wall_pays": 2.0,
 }
 """Keys that came later, each with the value by which all is as it was before there was a key."""
 

@@ -2,7 +2,8 @@
 
     step       -1                   every action
     cleaning    2 - 2 v             the robot enters a cell that counts as uncleaned
-    discovery  +2                   what is learnt differs from what the map held
+    discovery  +2                   what is learnt differs from what the map held; of a wall
+                                    `wall_pays`
 
 A robot's own reward is their sum. `held` is the record of the target cell in the map the robot
 reads, before the step; everything that several robots do at once is valued against it.
@@ -13,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from marl_clean.settings import Cases, ObstaclePay
-from marl_clean.world.rules import Rules
+from marl_clean.world.rules import DISCOVERY_PAYS, Rules
 from marl_clean.world.shared_map import is_known_dirty, map_value
 
 Term = Float[Tensor, "env agent"]
@@ -40,12 +41,19 @@ def cleaning_term(
     return torch.where(moved & uncleaned, 2 - 2 * value, 0.0)
 
 
-def discovery_term(
+def learnt(
     held: Float[Tensor, "env agent"], moved: Flag, bumped: Flag, rules: Rules
-) -> Term:
-    """Pay 2 when entering what was not held available, or bumping what was not held blocked."""
+) -> tuple[Flag, Flag]:
+    """Tell who enters what was not held available, and who bumps what was not held blocked."""
     wall_is_news = held >= 0 if rules.obstacles is ObstaclePay.FIRST else torch.ones_like(bumped)
-    return 2.0 * ((moved & (held <= 0)) | (bumped & wall_is_news))
+    return moved & (held <= 0), bumped & wall_is_news
+
+
+def discovery_term(entered: Flag, hit: Flag, rules: Rules) -> Term:
+    """Pay 2 for what was learnt by entering a cell, `wall_pays` for what by bumping into one."""
+    if rules.wall_pays == DISCOVERY_PAYS:
+        return DISCOVERY_PAYS * (entered | hit)
+    return torch.where(entered, DISCOVERY_PAYS, torch.where(hit, rules.wall_pays, 0.0))
 
 
 def reward_terms(
@@ -57,12 +65,14 @@ def reward_terms(
 ) -> tuple[Term, Term, Term]:
     """Return the step, cleaning and discovery terms of one step.
 
-    Under `cases=exclude` only the last of the three that applies is left.
+    Under `cases=exclude` only the last of the three that applies is left, whatever it pays.
     """
     step = step_term(moved)
     cleaning = cleaning_term(held, now, moved, rules)
-    discovery = discovery_term(held, moved, bumped, rules)
+    entered, hit = learnt(held, moved, bumped, rules)
+    discovery = discovery_term(entered, hit, rules)
     if rules.cases is Cases.EXCLUDE:
-        cleaning = torch.where(discovery != 0, 0.0, cleaning)
-        step = torch.where((discovery != 0) | (cleaning != 0), 0.0, step)
+        learns = entered | hit
+        cleaning = torch.where(learns, 0.0, cleaning)
+        step = torch.where(learns | (cleaning != 0), 0.0, step)
     return step, cleaning, discovery

@@ -18,6 +18,7 @@ from marl_clean.settings import (
     Sensor,
     UncleanedAtMost,
     UnknownPaysAs,
+    WallPays,
 )
 
 UNKNOWN_VALUE = -0.2
@@ -25,6 +26,7 @@ BLOCKED_VALUE = -1.0
 ROBOT_VALUE = 1.0
 CLEANED_VALUE = 0.5
 DIRTY_VALUE = 0.0
+DISCOVERY_PAYS = 2.0
 
 NEVER = 1 << 30  # above every age: records hold up to 2^22 steps
 
@@ -50,6 +52,8 @@ class Rules:
         cases: whether the terms add up or only the last that applies counts.
         obstacles: whether a bump pays the first time or every time.
         stuck_after: steps without a newly cleaned cell that end an episode; None: never.
+        wall_pays: what discovering a wall pays, from 0 to DISCOVERY_PAYS, which is what entering an
+            unknown cell pays.
         bump_noise: probability that a bump goes unnoticed: nothing is written, nothing paid.
         margin: cells around the house in every stored matrix: the ring's 1 and half the view.
         decay_a_step: how much the shown value of a cleaned cell falls a step.
@@ -72,6 +76,7 @@ class Rules:
     cases: Cases = Cases.ADD
     obstacles: ObstaclePay = ObstaclePay.FIRST
     stuck_after: PositiveInt | None = 100
+    wall_pays: WallPays = DISCOVERY_PAYS
     bump_noise: Probability = 0.0
     margin: Margin = 7
     decay_a_step: float = field(init=False)

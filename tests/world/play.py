@@ -76,6 +76,7 @@ def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
         unknown_pays_as=float(settings.unknown_value),
         cases=settings.cases,
         obstacles=settings.obstacles,
+        wall_pays=float(settings.wall_pays),
         bump_noise=settings.bump_noise,
         margin=max(side // 2, settings.view_size // 2),
     )

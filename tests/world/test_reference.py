@@ -101,6 +101,16 @@ class TestReward:
         assert own(bumping, UP) == [1]
         assert own(bumping, UP) == [-1]
 
+    @pytest.mark.parametrize(("cases", "reward"), [(Cases.ADD, "-0.5"), (Cases.EXCLUDE, "0.5")])
+    def test_discovering_a_wall_pays_what_it_is_said_to(self, cases: Cases, reward: str) -> None:
+        bumping = world("0..", cases=cases, wall_pays=0.5)
+        assert own(bumping, UP) == decimal(reward)
+        assert own(bumping, UP) == [-1]
+        assert bumping.step([RIGHT]).discovery == [2]
+
+    def test_a_discovery_that_pays_nothing_still_excludes(self) -> None:
+        assert own(world("0..", cases=Cases.EXCLUDE, wall_pays=0), UP) == [0]
+
     def test_cleaned_cell_costs_the_step(self) -> None:
         back = world("0..")
         back.step([RIGHT])

@@ -13,6 +13,7 @@ WRONG = {
     "uncleaned_at_most": 0.5,
     "unknown_pays_as": 0.3,
     "decay_steps": 0,
+    "wall_pays": 2.5,
     "bump_noise": 1.5,
     "stuck_after": 0,
 }
