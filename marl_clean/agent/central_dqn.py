@@ -108,7 +108,7 @@ class CentralDqn(DeepQ):
         """Return the epsilon-greedy policy: a random action is a random joint action."""
         joint = Categorical(self.num_actions**self.n_agents, shape=action_spec.shape)
         spec = Composite({keys.JOINT_ACTION: joint}, shape=action_spec.shape)
-        coin = self.coin(spec.to(action_spec.device), keys.JOINT_ACTION)
+        coin = self.exploring.coin(spec.to(action_spec.device), keys.JOINT_ACTION)
         decode = TensorDictModule(
             lambda chosen: decode_joint(chosen, self.n_agents, self.num_actions),
             in_keys=[keys.JOINT_ACTION],

@@ -77,6 +77,14 @@ class Agent(ABC):
             state["target"] = {**state["target"], **state["network"]}
             self.load_state_dict(state)
 
+    def estimate(self, block: TensorDictBase) -> TensorDictBase:
+        """Return what is learnt from a block `[env, time]` that the present weights collected.
+
+        On policy alone, once for all epochs: what `update` wants beside the frames, such as
+        advantages, is added.
+        """
+        return block.select(*self.learns_from)
+
     @abstractmethod
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Learn from a batch of frames; return measures of it as tensors without a graph."""

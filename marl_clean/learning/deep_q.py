@@ -13,8 +13,6 @@ from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import expand_as_right
 from torch import Tensor, nn
 from torch.nn import functional
-from torchrl.data import Composite
-from torchrl.modules import EGreedyModule
 
 from marl_clean import keys
 from marl_clean.comm.base import Comm
@@ -23,6 +21,7 @@ from marl_clean.errors import BadInput
 from marl_clean.learning import symmetry
 from marl_clean.learning.agent import Agent, Channels, Count
 from marl_clean.learning.networks import NUM_ACTIONS, noisy_parts, set_noise
+from marl_clean.learning.schedules import Epsilon, linear, set_step_size
 from marl_clean.settings import PositiveFloat, PositiveInt, PositiveShare, Precision, Probability
 
 DISTANCES = {
@@ -98,7 +97,7 @@ class DeepQ(Agent):
         device: torch.device | str = "cpu",
     ) -> None:
         self.gamma, self.n_steps = gamma, n_steps
-        self.eps_init, self.eps_end, self.annealing_fraction = eps_init, eps_end, annealing_fraction
+        self.exploring = Epsilon(eps_init, eps_end, annealing_fraction)
         self.lr, self.lr_end = lr, lr_end
         self.double, self.distance, self.max_grad_norm = double, DISTANCES[loss], max_grad_norm
         self.target_update, self.tau, self.target_period = target_update, tau, target_period
@@ -120,8 +119,6 @@ class DeepQ(Agent):
         self._followers: list[Tensor] = list(self.target.parameters())
         self._updates_since_copy = 0
         self._optimiser = torch.optim.Adam(self._parameters, lr=lr, fused=True)
-        self._coin: EGreedyModule | None = None
-        self.anneal(0.0)
 
     @property
     def learns_from(self) -> Sequence[NestedKey]:
@@ -136,7 +133,7 @@ class DeepQ(Agent):
         """Where a frame holds what the network takes."""
 
     def measures(self) -> dict[str, float]:
-        return {"epsilon": self.epsilon}
+        return {"epsilon": self.exploring.now}
 
     @abstractmethod
     def make_network(
@@ -207,24 +204,10 @@ class DeepQ(Agent):
     def policy(self) -> TensorDictModuleBase:
         return self.make_greedy(records_messages=True).eval()
 
-    def coin(self, action_spec: Composite, action_key: NestedKey) -> EGreedyModule:
-        """Return TorchRL's epsilon-greedy module, whose epsilon `anneal` sets.
-
-        It explores only under TorchRL's `ExplorationType.RANDOM`, as a Collector sets it.
-        """
-        device = next(self.network.parameters()).device
-        self._coin = EGreedyModule(action_spec, action_key=action_key, device=device)
-        self._coin.eps.fill_(self.epsilon)
-        return self._coin
-
     def anneal(self, progress: float) -> None:
         """Set epsilon (paper §3.4) and step size for a run of which `progress`, 0 to 1, is done."""
-        for group in self._optimiser.param_groups:
-            group["lr"] = self.lr + min(1.0, progress) * (self.lr_end - self.lr)
-        annealed = min(1.0, progress / self.annealing_fraction) if self.annealing_fraction else 1.0
-        self.epsilon = self.eps_init + annealed * (self.eps_end - self.eps_init)
-        if self._coin is not None:  # its own step() loops over frames in Python
-            self._coin.eps.fill_(self.epsilon)
+        set_step_size(self._optimiser, linear(self.lr, self.lr_end, progress))
+        self.exploring.anneal(progress)
 
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Take one step of Adam on a batch of frames, then let the target network follow."""

@@ -27,6 +27,7 @@ from marl_clean.learning import acting
 from marl_clean.learning.acting import Greedy, entries, record_carried
 from marl_clean.learning.agent import Agent, Channels, Count
 from marl_clean.learning.networks import NUM_ACTIONS, RobotsNetwork, noisy_parts, set_noise
+from marl_clean.learning.schedules import linear, set_step_size
 from marl_clean.settings import (
     NonNegativeFloat,
     PositiveFloat,
@@ -211,10 +212,9 @@ class Ppo(Agent):
 
     def anneal(self, progress: float) -> None:
         """Set the step size for a run of which `progress`, 0 to 1, is done."""
-        for group in self._optimiser.param_groups:
-            group["lr"] = self.lr + min(1.0, progress) * (self.lr_end - self.lr)
+        set_step_size(self._optimiser, linear(self.lr, self.lr_end, progress))
 
-    def advantages(self, block: TensorDictBase) -> TensorDictBase:
+    def estimate(self, block: TensorDictBase) -> TensorDictBase:
         """Return what is learnt from a block `[env, time]`: advantages and returns added."""
         frames = block.select(*self.learns_from)
         acting.give_robots_endings(frames)

@@ -59,7 +59,7 @@ class RobotsQ(DeepQ):
     def exploration(self, action_spec: Composite) -> TensorDictSequential:
         """Return the epsilon-greedy policy; each robot draws for itself."""
         greedy = self.make_greedy(records_messages=self.messages == "replayed").eval()
-        return TensorDictSequential(greedy, self.coin(action_spec, keys.ACTION))
+        return TensorDictSequential(greedy, self.exploring.coin(action_spec, keys.ACTION))
 
     def values(
         self, network: RobotsNetwork, frames: TensorDictBase

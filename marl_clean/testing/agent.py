@@ -106,13 +106,13 @@ def explored(agent: Agent, env: TransformedEnv, seed: int) -> TensorDictBase:
 def batch_of(learner: Learner, agent: Agent, frames: TensorDictBase) -> TensorDictBase:
     """Return frames as the training loop hands them to `update`.
 
-    Off policy those that it learns from, as windows of one step; on policy what `advantages` makes
+    Off policy those that it learns from, as windows of one step; on policy what `estimate` makes
     of a block. Frames in a row where it unrolls, one by one where it does not.
     """
     block = frames.select(*agent.learns_from)
     fits: dict[str, Sequence[str]] = learner.make.constant("fits") or {}
     if "on_policy" in fits.get("trainer", ()):
-        block = agent.advantages(block)  # type: ignore[attr-defined]
+        block = agent.estimate(block)
     else:
         block[keys.STEPS_TO_NEXT_OBS] = torch.ones(block.batch_size, dtype=torch.int64)
     return block if agent.unrolls else block.flatten()

@@ -8,7 +8,6 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from marl_clean.learning.agent import Agent
-from marl_clean.learning.ppo import Ppo
 from marl_clean.logger.base import Logger
 from marl_clean.settings import PositiveInt, Probability
 from marl_clean.storage.checkpoint import Checkpoints
@@ -20,10 +19,10 @@ from marl_clean.trainer.base import Evaluate, Trainer, TrainingLoop
 class OnPolicy(Trainer):
     """Train an agent from what it has just collected, in a budget of frames.
 
-    Every block of frames: collect with exploration, estimate advantages, learn from the block
-    `epochs` times in minibatches drawn anew. A network that carries something from step to step
-    learns from worlds' rows of the whole block, the first frame starting from what was carried
-    when it was collected. All else as in `Trainer`.
+    Every block of frames: collect with exploration, estimate advantages or returns, learn from the
+    block `epochs` times in minibatches drawn anew. A network that carries something from step to
+    step learns from worlds' rows of the whole block, the first frame starting from what was
+    carried when it was collected. All else as in `Trainer`.
 
     Args:
         total_frames: the run's length; a frame is one step of one world with all its robots.
@@ -81,8 +80,7 @@ class OnPolicyLoop(TrainingLoop):
     def learn(self, block: TensorDictBase) -> None:
         """Learn from the block in minibatches, `epochs` times."""
         agent = self.agent
-        assert isinstance(agent, Ppo)
-        frames = agent.advantages(block)
+        frames = agent.estimate(block)
         items = frames if agent.unrolls else frames.flatten()
         count = len(items) * self.settings.minibatch_frames // self.settings.frames_per_batch
         measures = []

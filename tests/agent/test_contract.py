@@ -60,7 +60,7 @@ def test_the_contract(learner: str, scheme: str) -> None:
 
 
 @pytest.mark.parametrize("memory", ["encoder.memory=gru", "channel=delayed"])
-@pytest.mark.parametrize("learner", ["iql", "vdn", "qmix", "ippo", "mappo"])
+@pytest.mark.parametrize("learner", ["iql", "vdn", "qmix", "pqn", "ippo", "mappo"])
 def test_the_contract_with_frames_in_a_row(learner: str, memory: str) -> None:
     check_agent(learner, others=[memory], precision="float32")
 
@@ -233,7 +233,7 @@ def block_of_one_world() -> tuple[list, list, list, TensorDict]:
 def test_advantages_bootstrap_what_is_cut_and_not_what_ends(learner):
     agent = make_learner(learner, "plan")
     rewards, terminated, done, block = block_of_one_world()
-    estimated = agent.advantages(block)
+    estimated = agent.estimate(block)
     with torch.no_grad():
         value = agent.critic(block[keys.OBSERVATION])[0, :, :, 0].tolist()
         later = agent.critic(block["next", keys.OBSERVATION])[0, :, :, 0].tolist()

@@ -127,7 +127,7 @@ def test_exploration_draws_a_coin_for_each_robot_and_falls_linearly():
     assert share_random(0.25) == pytest.approx(0.55, abs=0.08)
     assert share_random(0.5) == pytest.approx(0.1, abs=0.05)
     assert share_random(1.0) == pytest.approx(0.1, abs=0.05)
-    assert agent.epsilon == pytest.approx(0.1)
+    assert agent.exploring.now == pytest.approx(0.1)
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         assert torch.equal(explore(batch.clone())[keys.ACTION], greedy)
 

@@ -38,6 +38,12 @@ def test_policies_that_draw_learn_to_talk_too(tmp_path, learner, comm):
     assert share_right(agent, hold=1) > 0.95
 
 
+def test_lambda_returns_of_the_last_block_teach_to_talk_too(tmp_path):
+    agent = make_learner("pqn", "plan", gamma=0.0, lr=2e-3, lr_end=2e-3, annealing_fraction=0.6)
+    train_on_policy(agent, tmp_path, hold=1)
+    assert share_right(agent, hold=1) > 0.95
+
+
 def test_a_policy_that_draws_guesses_in_silence(tmp_path):
     agent = make_learner("ippo", "none", gamma=0.0, lr=3e-3, lr_end=3e-3)
     train_on_policy(agent, tmp_path, hold=1)

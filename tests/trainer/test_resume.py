@@ -40,6 +40,7 @@ def with_memory() -> tuple[Trainer, Agent]:
 
 KINDS = {
     "on policy": lambda: (OnPolicy(**ON_POLICY), make_learner("mappo", "plan")),
+    "pqn": lambda: (OnPolicy(**ON_POLICY), make_learner("pqn", "commnet")),
     "mixed": lambda: (OffPolicy(**SETTINGS), make_learner("vdn", "commnet")),
     "with memory": with_memory,
     "on policy with memory": lambda: (

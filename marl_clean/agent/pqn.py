@@ -1,0 +1,193 @@
+"""Q(lambda) without replay and target network: what is learnt is what was just played."""
+
+from collections.abc import Sequence
+from typing import Any, Literal, final
+
+import torch
+from jaxtyping import Float
+from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import TensorDictSequential
+from torch import Tensor, nn
+from torchrl.data import Composite
+from torchrl.envs import TensorDictPrimer
+from torchrl.objectives.value.functional import td_lambda_return_estimate
+
+from marl_clean import keys
+from marl_clean.comm.base import Comm
+from marl_clean.encoder.base import Encoder
+from marl_clean.learning import acting
+from marl_clean.learning.acting import Greedy, entries
+from marl_clean.learning.agent import Agent, Channels, Count
+from marl_clean.learning.deep_q import DISTANCES
+from marl_clean.learning.networks import NUM_ACTIONS, QNetwork, noisy_parts, set_noise
+from marl_clean.learning.schedules import Epsilon, linear, set_step_size
+from marl_clean.settings import PositiveFloat, Precision, Probability
+
+
+@final
+class Pqn(Agent):
+    """Every robot learns the value of its own actions from lambda-returns of the last block.
+
+        G_t = r_t + gamma (1 - terminated) (lambda G_t+1 + (1 - lambda) max_a Q(o_t+1, a))
+        loss = Huber(Q(o_t, a_t) - G_t), mean over frames and robots
+
+    The returns are of the network that collected the block, and are estimated once for all epochs.
+    Behind an episode's last step and a block's, G_t+1 is max_a Q(o_t+1, a): truncated episodes are
+    bootstrapped. LayerNorm (`encoder.norm=layer`) takes the place of the target network. Robots
+    share their weights; messages are made anew in the loss, so gradients cross live edges. The pull
+    of dgn's attention is not learnt.
+
+    Source: PQN, arXiv 2407.04811; TorchRL's returns.
+
+    Args:
+        encoder, comm, channels: the network's parts; their weights are learnt in place.
+        dueling: see `marl_clean.learning.networks`.
+        gamma: discount of a step.
+        lmbda: of the returns: 0 trusts the values of the next step, 1 what was paid.
+        lr, lr_end: RAdam's step size (arXiv 1908.03265), falling linearly over the run.
+        radam_eps: added to the root of RAdam's second moment.
+        loss: `smooth_l1` (Huber), `l2` or `l1`.
+        max_grad_norm: gradients are scaled down to this norm.
+        eps_init, eps_end, annealing_fraction: the share of random actions falls linearly from
+            the one to the other over this fraction of the frames, and stays.
+        precision: the encoder's arithmetic; bfloat16 is faster.
+        n_agents: robots in a world.
+        num_actions: actions of a robot.
+        device: where the network lives.
+    """
+
+    fits = {"trainer": ["on_policy"]}
+
+    network: QNetwork
+
+    def __init__(
+        self,
+        encoder: Encoder,
+        comm: Comm,
+        dueling: bool,
+        gamma: Probability,
+        lmbda: Probability,
+        lr: PositiveFloat,
+        lr_end: PositiveFloat,
+        radam_eps: PositiveFloat,
+        loss: Literal["smooth_l1", "l2", "l1"],
+        max_grad_norm: PositiveFloat,
+        eps_init: Probability,
+        eps_end: Probability,
+        annealing_fraction: Probability,
+        precision: Precision,
+        channels: Channels,
+        n_agents: Count = 2,
+        num_actions: Count = NUM_ACTIONS,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.gamma, self.lmbda, self.lr, self.lr_end = gamma, lmbda, lr, lr_end
+        self.distance, self.max_grad_norm = DISTANCES[loss], max_grad_norm
+        self.n_agents = n_agents
+        self.exploring = Epsilon(eps_init, eps_end, annealing_fraction)
+        network = QNetwork(encoder, comm, dueling, precision, num_actions, channels)
+        self.network = network.to(device).eval()
+        self._noisy = noisy_parts(self.network)
+        self._parameters = list(self.network.parameters())
+        self._optimiser = torch.optim.RAdam(self._parameters, lr=lr, eps=radam_eps)
+
+    @property
+    def history(self) -> int:
+        return self.network.history
+
+    def primer(self) -> TensorDictPrimer | None:
+        network = self.network
+        return acting.primer(network, self.n_agents) if network.carries else None
+
+    @property
+    def learns_from(self) -> Sequence[NestedKey]:
+        later = (*self.network.sees, keys.REWARD, keys.DONE, keys.TERMINATED)
+        return (*self._seen_again, keys.ACTION_VALUE, *(("next", key) for key in later))
+
+    @property
+    def _seen_again(self) -> Sequence[NestedKey]:
+        """What is taken of each frame in every epoch."""
+        begins = (keys.IS_INIT,) if self.unrolls else ()
+        return (*self.network.sees, keys.ACTION, *begins)
+
+    def policy(self) -> Greedy:
+        return Greedy(self.network, self.n_agents, records_messages=True).eval()
+
+    def exploration(self, action_spec: Composite) -> TensorDictSequential:
+        """Return the epsilon-greedy policy; each robot draws for itself."""
+        greedy = Greedy(self.network, self.n_agents, records_messages=False).eval()
+        return TensorDictSequential(greedy, self.exploring.coin(action_spec, keys.ACTION))
+
+    def measures(self) -> dict[str, float]:
+        return {"epsilon": self.exploring.now}
+
+    def anneal(self, progress: float) -> None:
+        """Set epsilon and step size for a run of which `progress`, 0 to 1, is done."""
+        set_step_size(self._optimiser, linear(self.lr, self.lr_end, progress))
+        self.exploring.anneal(progress)
+
+    @torch.no_grad()
+    def estimate(self, block: TensorDictBase) -> TensorDictBase:
+        """Return what is learnt from a block `[env, time]`, the lambda-returns added."""
+        frames = block.select(*self._seen_again)
+        later = block["next"]
+        done, terminated = (
+            later[key].unsqueeze(-2).expand(later[keys.REWARD].shape)
+            for key in (keys.DONE, keys.TERMINATED)
+        )
+        frames[keys.VALUE_TARGET] = td_lambda_return_estimate(
+            self.gamma,
+            self.lmbda,
+            self.next_values(block),
+            later[keys.REWARD],
+            done,
+            terminated,
+            time_dim=1,
+        )
+        return frames
+
+    def next_values(self, block: TensorDictBase) -> Float[Tensor, "env time agent 1"]:
+        """Return max_a Q(o_t+1, a) of a block.
+
+        Frame t + 1 was valued when the robots acted in it; what remains is where an episode or the
+        block ends.
+        """
+        value = block[keys.ACTION_VALUE].amax(-1, keepdim=True).roll(-1, dims=1)
+        last = block["next", keys.DONE].squeeze(-1).clone()
+        last[:, -1] = True
+        seen = entries(self.network, block["next"][last])
+        value[last] = self.network(seen).out.amax(-1, keepdim=True)
+        return value
+
+    def loss(self, frames: TensorDictBase) -> Float[Tensor, ""]:
+        """Return how far the values of the actions taken are from their returns.
+
+        loss = Huber(Q(o_t, a_t) - G_t), mean over frames and robots
+        """
+        seen = entries(self.network, frames)
+        if self.unrolls:
+            values = self.network.unroll(frames[keys.IS_INIT], seen)
+        else:
+            values = self.network(seen).out
+        value = values.gather(-1, frames[keys.ACTION].unsqueeze(-1))
+        return self.distance(value, frames[keys.VALUE_TARGET])
+
+    def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        """Take one step of RAdam on a minibatch: frames, or rows `[env, time]` if it unrolls."""
+        set_noise(self._noisy, True)
+        loss = self.loss(batch)
+        self._optimiser.zero_grad()
+        loss.backward()
+        grad_norm = nn.utils.clip_grad_norm_(self._parameters, self.max_grad_norm)
+        self._optimiser.step()
+        set_noise(self._noisy, False)
+        return {"loss": loss.detach(), "grad_norm": grad_norm}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the network's weights and RAdam's moments."""
+        return {"network": self.network.state_dict(), "optimiser": self._optimiser.state_dict()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Resume exactly from a state of `state_dict`."""
+        self.network.load_state_dict(state["network"])
+        self._optimiser.load_state_dict(state["optimiser"])

@@ -1,0 +1,48 @@
+"""What changes over a run: step sizes, and the share of random actions."""
+
+from tensordict import NestedKey
+from torch.optim import Optimizer
+from torchrl.data import Composite
+from torchrl.modules import EGreedyModule
+
+
+def linear(start: float, end: float, progress: float) -> float:
+    """Return what lies between start and end where `progress`, from 0 to 1, of a run is done."""
+    return start + min(1.0, progress) * (end - start)
+
+
+def set_step_size(optimiser: Optimizer, lr: float) -> None:
+    """Let an optimiser take steps of this size from now on, in place."""
+    for group in optimiser.param_groups:
+        group["lr"] = lr
+
+
+class Epsilon:
+    """The share of random actions, which falls linearly over a fraction of a run and stays.
+
+    Source: paper §3.4.
+
+    Attributes:
+        now: the present share.
+    """
+
+    def __init__(self, eps_init: float, eps_end: float, annealing_fraction: float) -> None:
+        self.eps_init, self.eps_end, self.fraction = eps_init, eps_end, annealing_fraction
+        self._coin: EGreedyModule | None = None
+        self.anneal(0.0)
+
+    def anneal(self, progress: float) -> None:
+        """Set the share for a run of which `progress`, from 0 to 1, is done."""
+        share = progress / self.fraction if self.fraction else 1.0
+        self.now = linear(self.eps_init, self.eps_end, share)
+        if self._coin is not None:  # its own step() loops over frames in Python
+            self._coin.eps.fill_(self.now)
+
+    def coin(self, action_spec: Composite, action_key: NestedKey) -> EGreedyModule:
+        """Return TorchRL's epsilon-greedy module, whose epsilon follows.
+
+        It explores only under TorchRL's `ExplorationType.RANDOM`, as a Collector sets it.
+        """
+        self._coin = EGreedyModule(action_spec, action_key=action_key, device=action_spec.device)
+        self._coin.eps.fill_(self.now)
+        return self._coin
