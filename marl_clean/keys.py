@@ -22,6 +22,7 @@ VALUE_TARGET = (AGENTS, "value_target")  # *B n 1 float32
 CHOSEN_ACTION_VALUE = (AGENTS, "chosen_action_value")  # *B n 1 float32
 TEAM_VALUE = "chosen_action_value"  # *B 1 float32: the robots' chosen values, mixed
 JOINT_ACTION = "joint_action"  # *B int64, base 4, robot 0 the lowest digit
+JOINT_ACTION_MASK = "joint_action_mask"  # *B 4^n bool: no robot's part in it is masked
 JOINT_ACTION_VALUE = "joint_action_value"  # *B 4^n float32
 CHOSEN_JOINT_ACTION_VALUE = "chosen_joint_action_value"  # *B 1 float32
 MESSAGE = (AGENTS, "message")  # *B n M float32: what each robot sent

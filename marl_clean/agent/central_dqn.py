@@ -15,7 +15,12 @@ from marl_clean.errors import BadInput
 from marl_clean.learning import acting
 from marl_clean.learning.agent import Channels
 from marl_clean.learning.deep_q import DeepQ
-from marl_clean.learning.networks import JointQNetwork, decode_joint, encode_joint
+from marl_clean.learning.joint_actions import (
+    JointQNetwork,
+    decode_joint,
+    encode_joint,
+    joint_mask,
+)
 from marl_clean.settings import Precision
 
 MOST_OUTPUTS = 4**5
@@ -24,11 +29,15 @@ MOST_OUTPUTS = 4**5
 class GreedyJoint(TensorDictModuleBase):
     """The best of all joint actions, and every robot's part in it."""
 
-    def __init__(self, network: JointQNetwork, n_agents: int, num_actions: int) -> None:
+    def __init__(
+        self, network: JointQNetwork, n_agents: int, num_actions: int, mask_walls: bool
+    ) -> None:
         super().__init__()
+        self.mask_walls = mask_walls
         self.network, self.n_agents, self.num_actions = network, n_agents, num_actions
-        self.in_keys = [keys.OBSERVATION]
+        self.in_keys = [keys.OBSERVATION, *([keys.ACTION_MASK] if mask_walls else [])]
         self.out_keys = [
+            *([keys.JOINT_ACTION_MASK] if mask_walls else []),
             keys.JOINT_ACTION,
             keys.JOINT_ACTION_VALUE,
             keys.CHOSEN_JOINT_ACTION_VALUE,
@@ -42,7 +51,11 @@ class GreedyJoint(TensorDictModuleBase):
                 f"env.n_agents={n_agents}: the policy is of {self.n_agents} robots together;"
                 f" give an env of {self.n_agents}"
             )
-        value = self.network(seen)
+        allowed = None
+        if self.mask_walls:
+            allowed = joint_mask(tensordict.get(keys.ACTION_MASK))
+            tensordict.set(keys.JOINT_ACTION_MASK, allowed)
+        value = self.network(seen, allowed)
         chosen, joint = value.max(-1, keepdim=True)
         joint = joint.squeeze(-1)
         tensordict.set(keys.JOINT_ACTION_VALUE, value)
@@ -95,20 +108,21 @@ class CentralDqn(DeepQ):
         if encoder.memory is not None:
             raise BadInput("encoder.memory=gru: agent=central_dqn has no memory; valid: none")
         width = comm.out_features
-        return JointQNetwork(encoder, width, self.n_agents, outputs, dueling, precision)
+        return JointQNetwork(encoder, width, self.n_agents, self.num_actions, dueling, precision)
 
     @property
     def sees(self) -> tuple[NestedKey, ...]:
-        return (keys.OBSERVATION,)
+        return (keys.OBSERVATION, *([keys.ACTION_MASK] if self.mask_walls else []))
 
     def make_greedy(self, records_messages: bool) -> GreedyJoint:
-        return GreedyJoint(self.network, self.n_agents, self.num_actions)
+        return GreedyJoint(self.network, self.n_agents, self.num_actions, self.mask_walls)
 
     def exploration(self, action_spec: Composite) -> TensorDictSequential:
         """Return the epsilon-greedy policy: a random action is a random joint action."""
         joint = Categorical(self.num_actions**self.n_agents, shape=action_spec.shape)
         spec = Composite({keys.JOINT_ACTION: joint}, shape=action_spec.shape)
-        coin = self.exploring.coin(spec.to(action_spec.device), keys.JOINT_ACTION)
+        mask = keys.JOINT_ACTION_MASK if self.mask_walls else None
+        coin = self.exploring.coin(spec.to(action_spec.device), keys.JOINT_ACTION, mask)
         decode = TensorDictModule(
             lambda chosen: decode_joint(chosen, self.n_agents, self.num_actions),
             in_keys=[keys.JOINT_ACTION],
@@ -119,7 +133,8 @@ class CentralDqn(DeepQ):
     def values(
         self, network: JointQNetwork, frames: TensorDictBase
     ) -> Float[Tensor, "*batch joint_action"]:
-        return network(frames[keys.OBSERVATION])
+        mask = joint_mask(frames[keys.ACTION_MASK]) if self.mask_walls else None
+        return network(frames[keys.OBSERVATION], mask)
 
     def action(self, frames: TensorDictBase) -> Int[Tensor, "*batch"]:
         return encode_joint(frames[keys.ACTION], self.num_actions)

@@ -51,6 +51,7 @@ class Pqn(Agent):
         eps_init, eps_end, annealing_fraction: the share of random actions falls linearly from
             the one to the other over this fraction of the frames, and stays.
         precision: the encoder's arithmetic; bfloat16 is faster.
+        mask_walls: no action into a cell known to be blocked is considered.
         n_agents: robots in a world.
         num_actions: actions of a robot.
         device: where the network lives.
@@ -77,6 +78,7 @@ class Pqn(Agent):
         annealing_fraction: Probability,
         precision: Precision,
         channels: Channels,
+        mask_walls: bool = False,
         n_agents: Count = 2,
         num_actions: Count = NUM_ACTIONS,
         device: torch.device | str = "cpu",
@@ -85,7 +87,7 @@ class Pqn(Agent):
         self.distance, self.max_grad_norm = DISTANCES[loss], max_grad_norm
         self.n_agents = n_agents
         self.exploring = Epsilon(eps_init, eps_end, annealing_fraction)
-        network = QNetwork(encoder, comm, dueling, precision, num_actions, channels)
+        network = QNetwork(encoder, comm, dueling, precision, num_actions, channels, mask_walls)
         self.network = network.to(device).eval()
         self._noisy = noisy_parts(self.network)
         self._parameters = list(self.network.parameters())
@@ -116,7 +118,8 @@ class Pqn(Agent):
     def exploration(self, action_spec: Composite) -> TensorDictSequential:
         """Return the epsilon-greedy policy; each robot draws for itself."""
         greedy = Greedy(self.network, self.n_agents, records_messages=False).eval()
-        return TensorDictSequential(greedy, self.exploring.coin(action_spec, keys.ACTION))
+        mask = keys.ACTION_MASK if self.network.mask_walls else None
+        return TensorDictSequential(greedy, self.exploring.coin(action_spec, keys.ACTION, mask))
 
     def measures(self) -> dict[str, float]:
         return {"epsilon": self.exploring.now}
@@ -130,6 +133,8 @@ class Pqn(Agent):
     def estimate(self, block: TensorDictBase) -> TensorDictBase:
         """Return what is learnt from a block `[env, time]`, the lambda-returns added."""
         frames = block.select(*self._seen_again)
+        if self.network.mask_walls:
+            acting.allow_taken_(frames)
         later = block["next"]
         done, terminated = (
             later[key].unsqueeze(-2).expand(later[keys.REWARD].shape)

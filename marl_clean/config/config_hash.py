@@ -13,6 +13,7 @@ LATER: dict[str, Any] = {
     "house.free_colours": None,
     "encoder.norm": "none",
     "env.wall_pays": 2.0,
+    "agent.mask_walls": False,
 }
 """Keys that came later, each with the value by which all is as it was before there was a key."""
 

@@ -75,12 +75,14 @@ def differences_of(
     zeros: Float[Tensor, "env agent action"],
     others: Sequence[Float[Tensor, "env agent action"]],
 ) -> dict[str, Float[Tensor, "env agent"]]:
-    """What replaced messages do to the action values, robot by robot."""
+    """What replaced messages do to the action values, robot by robot; masked actions have none."""
     differences = {}
     chance = _policy(value)
-    spread = (value.amax(-1) - value.amin(-1)).clamp(min=1e-8)
+    valued = value > torch.finfo(value.dtype).min
+    least = torch.where(valued, value, torch.inf).amin(-1)
+    spread = (value.amax(-1) - least).clamp(min=1e-8)
     for name, other in (("zero", zeros), ("shuffle", others[0])):
-        differences[f"{name}_moved"] = (other - value).abs().mean(-1) / spread
+        differences[f"{name}_moved"] = (other - value).abs().sum(-1) / valued.sum(-1) / spread
         differences[f"{name}_switched"] = (other.argmax(-1) != value.argmax(-1)).to(value.dtype)
         differences[f"{name}_kl"] = _divergence(chance, _policy(other))
     drawn = torch.stack([_policy(other) for other in others])

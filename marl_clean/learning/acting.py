@@ -82,6 +82,15 @@ def give_robots_endings(frames: TensorDictBase) -> None:
         frames["next", keys.AGENTS, key] = frames["next", key].unsqueeze(-1).expand(shape)
 
 
+def allow_taken_(frames: TensorDictBase) -> None:
+    """Let masks allow what was done, in place: its value and its probability are learnt.
+
+    Others than the policy may have acted, such as a planner.
+    """
+    taken = frames[keys.ACTION].unsqueeze(-1)
+    frames[keys.ACTION_MASK] = frames[keys.ACTION_MASK].scatter(-1, taken, True)
+
+
 def team_reward(frames: TensorDictBase) -> Float[Tensor, "*batch 1"]:
     """Return what the team is paid: under `reward=team` it is the same for each robot."""
     return frames["next", keys.REWARD][..., 0, :]

@@ -18,7 +18,7 @@ from marl_clean import keys
 from marl_clean.comm.base import Comm
 from marl_clean.encoder.base import Encoder
 from marl_clean.errors import BadInput
-from marl_clean.learning import symmetry
+from marl_clean.learning import acting, symmetry
 from marl_clean.learning.agent import Agent, Channels, Count
 from marl_clean.learning.networks import NUM_ACTIONS, noisy_parts, set_noise
 from marl_clean.learning.schedules import Epsilon, linear, set_step_size
@@ -56,6 +56,8 @@ class DeepQ(Agent):
         eps_init, eps_end, annealing_fraction: the share of random actions falls linearly from
             the one to the other over this fraction of the frames, and stays.
         precision: the encoder's arithmetic; bfloat16 is faster.
+        mask_walls: no action into a cell known to be blocked is considered, in acting, in exploring
+            and in targets.
         augment: learn from each frame rotated or mirrored, alike for all its robots.
         messages: in learning, made anew by the present weights, or those that were sent; of the
             next frame they are always made anew.
@@ -90,6 +92,7 @@ class DeepQ(Agent):
         augment: bool,
         messages: Literal["recomputed", "replayed"] = "recomputed",
         next_graph: Literal["own", "reused"] = "own",
+        mask_walls: bool = False,
         channels: Channels = MappingProxyType({}),
         state_shape: torch.Size | None = None,
         n_agents: Count = 2,
@@ -102,7 +105,7 @@ class DeepQ(Agent):
         self.double, self.distance, self.max_grad_norm = double, DISTANCES[loss], max_grad_norm
         self.target_update, self.tau, self.target_period = target_update, tau, target_period
         self.augment, self.messages, self.next_graph = augment, messages, next_graph
-        self.state_shape = state_shape
+        self.state_shape, self.mask_walls = state_shape, mask_walls
         self.n_agents, self.num_actions, self.device = n_agents, num_actions, device
         network = self.make_network(encoder, comm, dueling, precision, channels)
         self.network = network.to(device).eval()
@@ -240,7 +243,13 @@ class DeepQ(Agent):
             now, then = frames[keys.OBSERVATION], frames["next", keys.OBSERVATION]
             (now, then), action = symmetry.rotate_in_eighths([now, then], frames[keys.ACTION])
             frames[keys.OBSERVATION], frames["next", keys.OBSERVATION] = now, then
+            if self.mask_walls:
+                masks = [frames[keys.ACTION_MASK], frames["next", keys.ACTION_MASK]]
+                now, then = symmetry.rotate_masks_in_eighths(masks)
+                frames[keys.ACTION_MASK], frames["next", keys.ACTION_MASK] = now, then
             frames[keys.ACTION] = action
+        if self.mask_walls:
+            acting.allow_taken_(frames)
         if self.next_graph == "reused":
             for key in (keys.ADJACENCY, keys.DISTANCE_RANK):
                 frames["next", key] = frames[key]

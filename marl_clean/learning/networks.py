@@ -5,7 +5,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from tensordict.utils import NestedKey, expand_as_right
 from torch import Tensor, nn
 from torchrl.data import TensorSpec, Unbounded
@@ -33,6 +33,13 @@ def duel(value: Float[Tensor, "*batch one_and_actions"]) -> Float[Tensor, "*batc
     """
     advantage = value[..., 1:]
     return value[..., :1] + advantage - advantage.mean(-1, keepdim=True)
+
+
+def masked(
+    out: Float[Tensor, "*batch action"], allowed: Bool[Tensor, "*batch action"]
+) -> Float[Tensor, "*batch action"]:
+    """Return values or logits, the least finite number where an action is not allowed."""
+    return out.masked_fill(~allowed, torch.finfo(out.dtype).min)
 
 
 def noisy_parts(network: nn.Module) -> list[nn.Module]:
@@ -75,7 +82,9 @@ class RobotsNetwork(nn.Module):
         out_i = head(comm(h, adjacency, over the channels)_i)
 
     All robots share the weights, so any number of robots fits. `precision` is that of the
-    encoder's arithmetic, where the time goes; messages and outputs stay float32.
+    encoder's arithmetic, where the time goes; messages and outputs stay float32. With `mask_walls`
+    outputs of actions that the frame's `action_mask` forbids are the least finite number, so that
+    no maximum and no distribution considers them.
 
     Attributes:
         sees: the keys of the entries that `forward` takes.
@@ -91,10 +100,12 @@ class RobotsNetwork(nn.Module):
         outputs: int,
         precision: Precision,
         channels: Mapping[str, Channel],
+        mask_walls: bool = False,
     ) -> None:
         super().__init__()
         self.encoder = encoder
         self.comm = comm
+        self.mask_walls = mask_walls
         self.reduced = precision == "bfloat16"
         self.head = nn.Linear(comm.out_features, outputs)
         crossed = {name: each for name, each in channels.items() if not isinstance(each, Perfect)}
@@ -121,7 +132,9 @@ class RobotsNetwork(nn.Module):
         behind = (type(channel).__name__ for channel in self.stack[len(self.channel) :])
         self.carries = (*memory, *state_keys(self.stack, [*self.channel, *behind]))
         drawn = (keys.CHANNEL_SEED,) if self.draws else ()
-        self.sees = (keys.OBSERVATION, keys.ADJACENCY, keys.DISTANCE_RANK, *drawn, *self.carries)
+        mask = (keys.ACTION_MASK,) if self.mask_walls else ()
+        graph = (keys.ADJACENCY, keys.DISTANCE_RANK)
+        self.sees = (keys.OBSERVATION, *graph, *mask, *drawn, *self.carries)
         self.history = max(len(memory), sum(channel.steps_late for channel in self.stack))
 
     def state_specs(self, n_agents: int) -> dict[NestedKey, TensorSpec]:
@@ -177,7 +190,10 @@ class RobotsNetwork(nn.Module):
         if sent is not None:
             delivery = Repeated(stacked, sent, self.comm.message_dims[: self.comm.rounds])
         talk = self.comm(feature, adjacency, distance_rank, delivery)
-        return Decision(self.out(talk.feature), talk, carried | stacked.states_after())
+        out = self.out(talk.feature)
+        if self.mask_walls:
+            out = masked(out, seen[keys.ACTION_MASK])
+        return Decision(out, talk, carried | stacked.states_after())
 
     def unroll(
         self,
@@ -207,7 +223,7 @@ class RobotsNetwork(nn.Module):
     def out(
         self, feature: Float[Tensor, "*batch agent joined"]
     ) -> Float[Tensor, "*batch agent out"]:
-        """Return the head's outputs."""
+        """Return the head's outputs, none of them masked."""
         return self.head(feature)
 
 
@@ -226,8 +242,9 @@ class QNetwork(RobotsNetwork):
         precision: Precision,
         num_actions: int = NUM_ACTIONS,
         channels: Mapping[str, Channel] = MappingProxyType({}),
+        mask_walls: bool = False,
     ) -> None:
-        super().__init__(encoder, comm, num_actions + dueling, precision, channels)
+        super().__init__(encoder, comm, num_actions + dueling, precision, channels, mask_walls)
         self.dueling = dueling
 
     def out(
@@ -235,54 +252,3 @@ class QNetwork(RobotsNetwork):
     ) -> Float[Tensor, "*batch agent action"]:
         value = self.head(feature)
         return duel(value) if self.dueling else value
-
-
-class JointQNetwork(nn.Module):
-    """Values of the 4^n joint actions of n robots, from all that they see (paper §3.4, approach 1).
-
-        h = [encoder(o_1), ..., encoder(o_n)],    Q(o, a_1 ... a_n) = head(relu(W h))
-
-    One encoder looks at every robot's square; what it makes of them is joined in the robots'
-    order, so the network is for this number of robots. `dueling` and `precision` as in `QNetwork`.
-    """
-
-    def __init__(
-        self,
-        encoder: Encoder,
-        width: int,
-        n_agents: int,
-        outputs: int,
-        dueling: bool,
-        precision: Precision,
-    ) -> None:
-        super().__init__()
-        self.encoder = encoder
-        self.dueling = dueling
-        self.reduced = precision == "bfloat16"
-        hidden = 2 * width  # as much as two robots' features, whatever their number
-        self.join = nn.Sequential(nn.Linear(n_agents * width, hidden), nn.ReLU())
-        self.head = nn.Linear(hidden, outputs + dueling)
-
-    def forward(self, observation: Float[Tensor, "..."]) -> Float[Tensor, "*batch joint_action"]:
-        with torch.autocast(observation.device.type, torch.bfloat16, enabled=self.reduced):
-            feature = self.encoder(observation)
-        value = self.head(self.join(feature.float().flatten(-2)))
-        return duel(value) if self.dueling else value
-
-
-def encode_joint(
-    action: Int[Tensor, "*batch agent"], num_actions: int = NUM_ACTIONS
-) -> Int[Tensor, "*batch"]:
-    """Number a joint action in base `num_actions`, robot 0 the lowest digit."""
-    return (action * _digits(action.shape[-1], num_actions, action.device)).sum(-1)
-
-
-def decode_joint(
-    joint: Int[Tensor, "*batch"], n_agents: int, num_actions: int = NUM_ACTIONS
-) -> Int[Tensor, "*batch agent"]:
-    """Return every robot's action of a numbered joint action; undoes `encode_joint`."""
-    return joint.unsqueeze(-1) // _digits(n_agents, num_actions, joint.device) % num_actions
-
-
-def _digits(n_agents: int, num_actions: int, device: torch.device) -> Int[Tensor, " agent"]:
-    return num_actions ** torch.arange(n_agents, device=device)

@@ -115,6 +115,7 @@ class Ppo(Agent):
         lr, lr_end: Adam's step size, falling linearly over the run.
         max_grad_norm: gradients are scaled down to this norm.
         precision: the encoders' arithmetic; bfloat16 is faster.
+        mask_walls: no action into a cell known to be blocked is considered.
         n_agents: robots in a world.
         num_actions: actions of a robot.
         device: where the networks live.
@@ -142,6 +143,7 @@ class Ppo(Agent):
         max_grad_norm: PositiveFloat,
         precision: Precision,
         channels: Channels,
+        mask_walls: bool = False,
         n_agents: Count = 2,
         num_actions: Count = NUM_ACTIONS,
         device: torch.device | str = "cpu",
@@ -150,7 +152,7 @@ class Ppo(Agent):
         self.max_grad_norm = max_grad_norm
         self.n_agents = n_agents
         critic = Critic(_fresh(encoder), self.central, precision)
-        network = RobotsNetwork(encoder, comm, num_actions, precision, channels)
+        network = RobotsNetwork(encoder, comm, num_actions, precision, channels, mask_walls)
         self.network, self.critic = network.to(device).eval(), critic.to(device).eval()
         values = TensorDictModule(self.critic, [keys.OBSERVATION], [keys.STATE_VALUE])
         self._loss = self.loss_class(
@@ -218,6 +220,8 @@ class Ppo(Agent):
         """Return what is learnt from a block `[env, time]`: advantages and returns added."""
         frames = block.select(*self.learns_from)
         acting.give_robots_endings(frames)
+        if self.network.mask_walls:
+            acting.allow_taken_(frames)
         with torch.no_grad():  # GAE itself would call the critic under vmap, which convolutions
             for part in (frames, frames["next"]):  # with channels last do not go through
                 part[keys.STATE_VALUE] = self.critic(part[keys.OBSERVATION])

@@ -39,7 +39,8 @@ class RobotsQ(DeepQ):
         precision: Precision,
         channels: Channels,
     ) -> QNetwork:
-        return QNetwork(encoder, comm, dueling, precision, self.num_actions, channels)
+        size = self.num_actions
+        return QNetwork(encoder, comm, dueling, precision, size, channels, self.mask_walls)
 
     @property
     def sees(self) -> Sequence[NestedKey]:
@@ -59,7 +60,8 @@ class RobotsQ(DeepQ):
     def exploration(self, action_spec: Composite) -> TensorDictSequential:
         """Return the epsilon-greedy policy; each robot draws for itself."""
         greedy = self.make_greedy(records_messages=self.messages == "replayed").eval()
-        return TensorDictSequential(greedy, self.exploring.coin(action_spec, keys.ACTION))
+        mask = keys.ACTION_MASK if self.mask_walls else None
+        return TensorDictSequential(greedy, self.exploring.coin(action_spec, keys.ACTION, mask))
 
     def values(
         self, network: RobotsNetwork, frames: TensorDictBase

@@ -38,11 +38,19 @@ class Epsilon:
         if self._coin is not None:  # its own step() loops over frames in Python
             self._coin.eps.fill_(self.now)
 
-    def coin(self, action_spec: Composite, action_key: NestedKey) -> EGreedyModule:
+    def coin(
+        self, action_spec: Composite, action_key: NestedKey, mask_key: NestedKey | None = None
+    ) -> EGreedyModule:
         """Return TorchRL's epsilon-greedy module, whose epsilon follows.
 
-        It explores only under TorchRL's `ExplorationType.RANDOM`, as a Collector sets it.
+        It explores only under TorchRL's `ExplorationType.RANDOM`, as a Collector sets it. With
+        `mask_key` it draws among the actions that a frame's mask there allows.
         """
-        self._coin = EGreedyModule(action_spec, action_key=action_key, device=action_spec.device)
+        self._coin = EGreedyModule(
+            action_spec.clone(),  # it writes masks into it
+            action_key=action_key,
+            action_mask_key=mask_key,
+            device=action_spec.device,
+        )
         self._coin.eps.fill_(self.now)
         return self._coin

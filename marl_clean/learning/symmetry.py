@@ -6,7 +6,7 @@ counterclockwise.
 """
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 NUM_SYMMETRIES = 8
@@ -49,6 +49,19 @@ def rotate_in_eighths(
             rotated[part] = rotate_square(square[part], element)
         rotated_action[part] = rotate_action(action[part], element)
     return rotated_squares, rotated_action
+
+
+def rotate_masks_in_eighths(
+    masks: list[Bool[Tensor, "frame ... action"]],
+) -> list[Bool[Tensor, "frame ... action"]]:
+    """Rotate masks of actions as `rotate_in_eighths` does the actions."""
+    rotated_masks = [torch.empty_like(mask) for mask in masks]
+    action = torch.arange(len(MIRRORED), device=masks[0].device)
+    for element, part in enumerate(_eighths(len(masks[0]))):
+        order = rotate_action(action, element)
+        for mask, rotated in zip(masks, rotated_masks, strict=True):
+            rotated[part, ..., order] = mask[part]
+    return rotated_masks
 
 
 def _eighths(length: int) -> list[slice]:

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from marl_clean.env.viewer import INK, ROBOTS, robot_colour
 from marl_clean.keys import ACTION_VALUE, ADJACENCY, JOINT_ACTION_VALUE, MESSAGE, OBSERVATION
-from marl_clean.learning.networks import decode_joint
+from marl_clean.learning.joint_actions import decode_joint
 from marl_clean.report.axes import new_figure, unit
 
 STEP = 1.75  # from one layer to the next

@@ -15,7 +15,7 @@ from marl_clean.config.compose import compose_config
 from marl_clean.config.fitting import check_fit
 from marl_clean.config.stored import compose_for_policy
 from marl_clean.errors import BadInput
-from marl_clean.learning.networks import decode_joint, encode_joint
+from marl_clean.learning.joint_actions import decode_joint, encode_joint
 from tests.agent.parts import transitions
 
 CENTRAL = ["agent=central_dqn", "comm=none", "reward=team", "train_houses=8", "env.num_envs=6"]
