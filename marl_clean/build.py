@@ -18,6 +18,7 @@ from marl_clean.config.fitting import check_fit
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import find_run, load_config
 from marl_clean.encoder.base import Encoder
+from marl_clean.env.action_mask import KnownWalls
 from marl_clean.env.channel_seed import ChannelSeed
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.env.global_state import GlobalState
@@ -81,8 +82,12 @@ def make_env(
         device=torch.device(cfg.device),
         **changes,
     )
-    global_state = [GlobalState()] if constant(cfg.agent._target_, "needs_state") else []
-    transforms = (topology, observation, *global_state, *draws(cfg, seeded), *payment(cfg))
+    further: list[Transform] = []
+    if constant(cfg.agent._target_, "needs_state"):
+        further.append(GlobalState())
+    if cfg.agent.get("mask_walls", False):
+        further.append(KnownWalls())
+    transforms = (topology, observation, *further, *draws(cfg, seeded), *payment(cfg))
     return TransformedWorlds(env, Compose(*transforms))
 
 

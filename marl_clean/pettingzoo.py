@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torchrl.envs.utils import step_mdp
 
 from marl_clean import build, keys
@@ -26,8 +26,8 @@ from marl_clean.python.keywords import Settings, overrides_of
 from marl_clean.python.measuring import config_for_policy
 from marl_clean.world.dynamics import MOVES
 from marl_clean.world.rules import BLOCKED_VALUE, ROBOT_VALUE
-from marl_clean.world.sensing import windows_around
-from marl_clean.world.shared_map import is_known_blocked, map_value, union_of_maps
+from marl_clean.world.sensing import not_known_blocked
+from marl_clean.world.shared_map import map_value, union_of_maps
 
 try:
     from gymnasium.spaces import Box, Dict, Discrete, MultiBinary
@@ -228,7 +228,8 @@ class ParallelCleaning(ParallelEnv[str, Seen, int]):
         if self.shows_adjacency:
             extras["adjacency"] = self._now[keys.ADJACENCY][0].cpu().numpy().astype(np.int8)
         if self.shows_mask:
-            extras["action_mask"] = self._open_ways().astype(np.int8)
+            mask = not_known_blocked(self.world.state, self.world.rules)
+            extras["action_mask"] = mask[0].cpu().numpy().astype(np.int8)
         if not extras:
             return {agent: shown[index].copy() for index, agent in enumerate(self.agents)}
         seen = {"observation": shown, **extras}
@@ -236,14 +237,6 @@ class ParallelCleaning(ParallelEnv[str, Seen, int]):
             agent: {name: array[index].copy() for name, array in seen.items()}
             for index, agent in enumerate(self.agents)
         }
-
-    def _open_ways(self) -> Bool[np.ndarray, "agent action"]:
-        """Tell which actions do not lead into what the robot's own map holds for blocked."""
-        state, margin = self.world.state, self.world.rules.margin
-        around = windows_around(state.record, state.position, 3, margin)[0]
-        row, col = (1 + self.world.moves).unbind(-1)
-        ways = ~is_known_blocked(around[:, row, col]).cpu().numpy()
-        return ways | ~ways.any(1, keepdims=True)  # a stale map may know of no way
 
     def _show(self) -> None:
         if self.render_mode == "human":

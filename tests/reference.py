@@ -347,6 +347,12 @@ class World:
             for down in offsets
         ]
 
+    def action_mask(self, robot: int) -> list[bool]:
+        """By action: whether the robot's map does not hold the neighbour for blocked; else all."""
+        held = [self.map_of(robot).get(place) for place in neighbours(self.positions[robot])]
+        mask = [record is None or not record.blocked for record in held]
+        return mask if any(mask) else [True] * len(DIRECTIONS)
+
     # ---- one step
 
     def step(self, actions: Sequence[int]) -> Outcome:

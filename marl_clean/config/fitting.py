@@ -4,7 +4,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from marl_clean.config.class_source import constant
+from marl_clean.config.class_source import constant, takes
 from marl_clean.config.levels import SEVERAL, level_of, read_level, rooms
 from marl_clean.errors import BadInput
 from marl_clean.settings import Form
@@ -30,15 +30,20 @@ def check_fit(config: DictConfig) -> None:
                     fitting = f"{room}={level_of(target)}; valid: {', '.join(valid)}"
                     raise BadInput(f"{other}={level}: does not fit {fitting}")
     seer = "observation" if constant(targets["env"], "gives") is None else "env"
-    gives, takes = constant(targets[seer], "gives"), constant(targets["encoder"], "takes")
+    gives, expects = constant(targets[seer], "gives"), constant(targets["encoder"], "takes")
     given = f"{seer}={level_of(targets[seer])} gives {gives.value}"
-    if gives is not takes:
+    if gives is not expects:
         raise BadInput(
-            f"encoder={level_of(targets['encoder'])}: takes {takes.value}, {given};"
+            f"encoder={level_of(targets['encoder'])}: takes {expects.value}, {given};"
             f" valid: {', '.join(encoders_of(gives))}"
         )
     if gives is not Form.SQUARES and config.agent.get("augment", False):
         raise BadInput(f"agent.augment=true: turns squares, {given}; valid: false")
+    if config.agent.get("mask_walls", False) and not takes(targets["env"], "houses"):
+        env = f"env={level_of(targets['env'])}"
+        raise BadInput(
+            f"agent.mask_walls=true: a mask where there are no walls, {env}; valid: false"
+        )
 
 
 def encoders_of(form: Form) -> list[str]:

@@ -136,15 +136,26 @@ def touch_(state: State, rules: Rules) -> None:
     available and dirty; known available ones are left as they are.
     """
     num_envs, n_agents = state.position.shape[:2]
-    around = state.position[:, :, None] + moves_on(state.position.device)
-    cell = cell_index(around, rules.margin, state.blocked.shape[2]).flatten(1)
-    record = state.record.flatten(2).expand(-1, n_agents, -1)
-    held = record.gather(2, cell.view(num_envs, n_agents, 4)).flatten(1)
+    beside = cells_beside(state, rules)
+    cell, held = beside.flatten(1), records_beside(state, beside).flatten(1)
     blocked = state.blocked.flatten(1).gather(1, cell)
     now = (state.step + 1).to(held.dtype)[:, None]
     learnt = torch.where(blocked, -now, torch.where(held > 0, held, now - 0.5))
     base = map_base(state).expand(num_envs, n_agents).repeat_interleave(4, -1)
     write_records_(state.record, base + cell, learnt)
+
+
+def cells_beside(state: State, rules: Rules) -> Int[Tensor, "env agent 4"]:
+    """Return the flat indices of each robot's up, right, down and left neighbour."""
+    around = state.position[:, :, None] + moves_on(state.position.device)
+    return cell_index(around, rules.margin, state.blocked.shape[2])
+
+
+def records_beside(
+    state: State, beside: Int[Tensor, "env agent 4"]
+) -> Float[Tensor, "env agent 4"]:
+    """Return what the map that each robot reads holds of its `cells_beside`."""
+    return state.record.flatten(2).expand(-1, state.n_agents, -1).gather(2, beside)
 
 
 def episode_ends(

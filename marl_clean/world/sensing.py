@@ -4,8 +4,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from marl_clean.world.dynamics import cells_beside, records_beside
 from marl_clean.world.rules import BLOCKED_VALUE, ROBOT_VALUE, Rules
-from marl_clean.world.shared_map import map_value
+from marl_clean.world.shared_map import is_known_blocked, map_value
 from marl_clean.world.state import State, cell_index
 
 
@@ -58,6 +59,16 @@ def mark_contacts(
     index = torch.where(inside, row * cols + col, 0)
     shown = torch.where(inside, ROBOT_VALUE, BLOCKED_VALUE)  # the least value changes no cell
     return view.flatten(2).scatter_reduce(2, index, shown, "amax").view_as(view)
+
+
+def not_known_blocked(state: State, rules: Rules) -> Bool[Tensor, "env agent 4"]:
+    """Tell which of its four neighbours the map that each robot reads does not hold for blocked.
+
+    In the order of the actions. All of them where none is left, which a stale map may say.
+    """
+    beside = records_beside(state, cells_beside(state, rules))
+    ways = ~is_known_blocked(beside)
+    return ways | ~ways.any(-1, keepdim=True)
 
 
 def free_run(
