@@ -83,7 +83,7 @@ def make_env(
         **changes,
     )
     further: list[Transform] = []
-    if constant(cfg.agent._target_, "needs_state"):
+    if needs_state(cfg):
         further.append(GlobalState())
     if cfg.agent.get("mask_walls", False):
         further.append(KnownWalls())
@@ -110,9 +110,15 @@ def make_task(cfg: DictConfig, num_envs: int | None = None, first_env: int = 0) 
 
 
 def draws(cfg: DictConfig, seeded: bool = False) -> list[Transform]:
-    """Build what draws for the channel, where it draws at all or is to."""
-    drawing = seeded or any(channel.draws for channel in make_channels(cfg, ()).values())
+    """Build what draws for the channel and the policy, where they draw at all or are to."""
+    sampled = cfg.agent.get("play") == "sampled"
+    drawing = seeded or sampled or any(channel.draws for channel in make_channels(cfg, ()).values())
     return [ChannelSeed()] if drawing else []
+
+
+def needs_state(cfg: DictConfig) -> bool:
+    """Whether the learner is to know the true state, in learning alone."""
+    return bool(constant(cfg.agent._target_, "needs_state")) or cfg.agent.get("critic") == "state"
 
 
 def payment(cfg: DictConfig) -> list[Transform]:
@@ -178,7 +184,7 @@ def agent_parts(cfg: DictConfig, env: TransformedEnv) -> dict[str, Any]:
     encoder = make_encoder(cfg, seen)
     comm = make_comm(cfg.comm, encoder.out_features, seen)
     state: dict[str, Any] = {}
-    if constant(cfg.agent._target_, "needs_state"):
+    if needs_state(cfg):
         state["state_shape"] = env.observation_spec[keys.STATE].shape[1:]
     return {
         **state,
@@ -226,8 +232,9 @@ def as_wide_as_allowed(cfg: DictConfig, env: TransformedEnv) -> DictConfig:
 def ready_for(agent: Agent, env: TransformedEnv) -> TransformedEnv:
     """Return an env whose episodes begin with nothing carried, and tell when they begin."""
     primer = agent.primer()
-    if primer is not None:
+    if primer is not None or agent.unrolls:
         env.append_transform(InitTracker())
+    if primer is not None:
         env.append_transform(primer)
     return env
 

@@ -29,16 +29,20 @@ MESSAGE = (AGENTS, "message")  # *B n M float32: what each robot sent
 MESSAGE_EDGES = (AGENTS, "message_edges")  # *B n K float32: over how many edges, each round
 MESSAGE_BITS = (AGENTS, "message_bits")  # *B n 1 float32: what sending it cost
 
-CHANNEL_SEED = (AGENTS, "channel_seed")  # *B n int64 in [0, 2^32): for what a channel draws
+CHANNEL_SEED = (
+    AGENTS,
+    "channel_seed",
+)  # *B n int64 in [0, 2^32): for what channels and policies draw
 INBOX = (AGENTS, "inbox")  # *B n age number float32: messages under way, and whom they reach
 OUTBOX = (AGENTS, "outbox")  # the same, of a scheme whose messages are heard later by definition
 BURST = (AGENTS, "burst")  # *B n n bool, [i, j]: the way from j to i is in a burst of losses
 FROZEN = (AGENTS, "frozen")  # *B n number float32: first messages, while evaluation freezes them
 LATE = (AGENTS, "late")  # as inbox, while evaluation delays messages
 HIDDEN = (AGENTS, "hidden")  # *B n d float32: a recurrent encoder's memory
+CRITIC_HIDDEN = (AGENTS, "critic_hidden")  # *B n d float32: a critic's memory before a frame
 IS_INIT = "is_init"  # *B 1 bool: the first frame of an episode
 
-STATE = "state"  # *B ch R C bool: the truth, for mixers
+STATE = "state"  # *B ch R C bool: the truth, for mixers and critics
 
 REWARD = (AGENTS, "reward")  # *B n 1 float32: what the robot is paid
 OWN_REWARD = (AGENTS, "own_reward")  # *B n 1 float32: what it earned itself in the last step

@@ -14,5 +14,5 @@ class Ippo(Ppo):
     All else as in `marl_clean.learning.ppo.Ppo`. Source: arXiv 2011.09533; TorchRL's loss.
     """
 
-    central = False
+    knows = "local"
     loss_class = IPPOLoss

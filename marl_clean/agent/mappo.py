@@ -16,5 +16,5 @@ class Mappo(Ppo):
     `marl_clean.learning.ppo.Ppo`. Source: arXiv 2103.01955; TorchRL's loss.
     """
 
-    central = True
+    knows = "robots"
     loss_class = MAPPOLoss

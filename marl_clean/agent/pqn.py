@@ -158,8 +158,7 @@ class Pqn(Agent):
         block ends.
         """
         value = block[keys.ACTION_VALUE].amax(-1, keepdim=True).roll(-1, dims=1)
-        last = block["next", keys.DONE].squeeze(-1).clone()
-        last[:, -1] = True
+        last = acting.last_frames(block)
         seen = entries(self.network, block["next"][last])
         value[last] = self.network(seen).out.amax(-1, keepdim=True)
         return value

@@ -14,6 +14,11 @@ LATER: dict[str, Any] = {
     "encoder.norm": "none",
     "env.wall_pays": 2.0,
     "agent.mask_walls": False,
+    "agent.entropy_coeff_end": None,
+    "agent.zero_head": False,
+    "agent.play": "argmax",
+    "agent.critic": None,
+    "agent.critic_memory": "none",
 }
 """Keys that came later, each with the value by which all is as it was before there was a key."""
 

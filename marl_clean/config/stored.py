@@ -36,7 +36,8 @@ CONFIG = "config.yaml"
 LONGEST_PART, LONGEST_PATH = 255, 4000  # characters of a file's name and path
 WEIGHTS = "weights"
 NETWORK = ("observation", "encoder", "comm", "agent", "parameter_budget")
-SAME_NETWORK = ("observation.position_noise", "agent.mask_walls")  # any weights play with them
+# Of these rooms, but any weights play with them.
+SAME_NETWORK = ("observation.position_noise", "agent.mask_walls", "agent.play")
 BESIDE_THE_WEIGHTS = ("encoder.dropout", "encoder.channels_last")  # how they learn, or are stored
 
 

@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from jaxtyping import Float
+import torch
+from jaxtyping import Bool, Float, Int
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
@@ -13,6 +14,7 @@ from marl_clean import keys
 from marl_clean.comm.base import Talk
 from marl_clean.errors import BadInput
 from marl_clean.learning.networks import Entries, RobotsNetwork
+from marl_clean.world.random import Purpose, random_bits
 
 OF_MESSAGES = (keys.MESSAGE, keys.MESSAGE_EDGES, keys.MESSAGE_BITS)
 
@@ -41,7 +43,7 @@ def _what_to_append(network: RobotsNetwork, lacking: Sequence[NestedKey]) -> str
         )
     if keys.CHANNEL_SEED in lacking:
         return (
-            f"policy: its channel draws, and this env has no {names};"
+            f"policy: it or its channel draws, and this env has no {names};"
             f" env.append_transform(marl_clean.env.channel_seed.ChannelSeed()), {own}"
         )
     return f"policy: sees {names}, and this env shows none; {own[3:]}"
@@ -82,6 +84,26 @@ def give_robots_endings(frames: TensorDictBase) -> None:
         frames["next", keys.AGENTS, key] = frames["next", key].unsqueeze(-1).expand(shape)
 
 
+def last_frames(block: TensorDictBase) -> Bool[Tensor, "env time"]:
+    """Return which frames of a block no frame follows: an episode's last, and the block's."""
+    last = block["next", keys.DONE].squeeze(-1).clone()
+    last[:, -1] = True
+    return last
+
+
+def drawn(
+    logits: Float[Tensor, "*batch agent action"], seed: Int[Tensor, "*batch agent"]
+) -> Int[Tensor, "*batch agent"]:
+    """Draw each robot's action by softmax, as a pure function of its seed.
+
+    The greatest of logit + Gumbel noise is distributed so.
+    """
+    action = torch.arange(logits.shape[-1], device=logits.device)
+    bits = random_bits(int(Purpose.ACTION), seed.unsqueeze(-1), Purpose.ACTION, action)
+    uniform = (bits.double() + 0.5) / 2**32
+    return (logits.double() - (-uniform.log()).log()).argmax(-1)
+
+
 def allow_taken_(frames: TensorDictBase) -> None:
     """Let masks allow what was done, in place: its value and its probability are learnt.
 
@@ -99,6 +121,8 @@ def team_reward(frames: TensorDictBase) -> Float[Tensor, "*batch 1"]:
 class Greedy(TensorDictModuleBase):
     """Every robot's best action, by values or by logits: what TorchRL calls a Q-value actor.
 
+    With `draws` the action is drawn by the logits instead, and by nothing but what frames hold.
+
     One module in the place of three (network, choice, their sequence): a third of their time
     outside of the network, which counts where the network is small. What the network carries is
     written into the next frame.
@@ -107,12 +131,17 @@ class Greedy(TensorDictModuleBase):
         network: values, or logits, of the robots' actions.
         n_agents: robots in a world.
         records_messages: what was sent is written into the frame, too.
+        draws: see above.
     """
 
-    def __init__(self, network: RobotsNetwork, n_agents: int, records_messages: bool) -> None:
+    def __init__(
+        self, network: RobotsNetwork, n_agents: int, records_messages: bool, draws: bool = False
+    ) -> None:
         super().__init__()
         self.network, self.n_agents, self.records_messages = network, n_agents, records_messages
-        self.in_keys = list(network.sees)
+        self.draws = draws
+        drawn_by = [keys.CHANNEL_SEED] if draws and keys.CHANNEL_SEED not in network.sees else []
+        self.in_keys = [*network.sees, *drawn_by]
         self.out_keys = [keys.ACTION, keys.ACTION_VALUE, keys.CHOSEN_ACTION_VALUE]
         if records_messages:
             self.out_keys += OF_MESSAGES
@@ -123,11 +152,22 @@ class Greedy(TensorDictModuleBase):
         record_carried(tensordict, carried)
         if self.records_messages:
             record_messages(tensordict, talk)
-        chosen, action = value.max(-1, keepdim=True)
+        if self.draws:
+            action = drawn(value, self.seed_in(tensordict)).unsqueeze(-1)
+            chosen = value.gather(-1, action)
+        else:
+            chosen, action = value.max(-1, keepdim=True)
         tensordict.set(keys.ACTION_VALUE, value)
         tensordict.set(keys.CHOSEN_ACTION_VALUE, chosen)
         tensordict.set(keys.ACTION, action.squeeze(-1))
         return tensordict
+
+    def seed_in(self, frame: TensorDictBase) -> Int[Tensor, "*batch agent"]:
+        """Return what is drawn by. Raises BadInput where the frame lacks it."""
+        seed = frame.get(keys.CHANNEL_SEED)
+        if seed is None:
+            raise BadInput(_what_to_append(self.network, [keys.CHANNEL_SEED]))
+        return seed
 
     def make_tensordict_primer(self) -> TensorDictPrimer:
         """Return the transform by which an env begins episodes with what the network carries."""

@@ -1,16 +1,13 @@
 """Proximal policy optimisation, as several learners share it."""
 
-import copy
 from collections.abc import Sequence
 from typing import Any, ClassVar, Literal
 
 import torch
-from jaxtyping import Float
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import (
     ProbabilisticTensorDictModule,
     ProbabilisticTensorDictSequential,
-    TensorDictModule,
     TensorDictModuleBase,
 )
 from torch import Tensor, nn
@@ -26,14 +23,17 @@ from marl_clean.encoder.base import Encoder
 from marl_clean.learning import acting
 from marl_clean.learning.acting import Greedy, entries, record_carried
 from marl_clean.learning.agent import Agent, Channels, Count
+from marl_clean.learning.critic import Critic, Knows, Values
 from marl_clean.learning.networks import NUM_ACTIONS, RobotsNetwork, noisy_parts, set_noise
 from marl_clean.learning.schedules import linear, set_step_size
 from marl_clean.settings import (
     NonNegativeFloat,
+    Play,
     PositiveFloat,
     PositiveShare,
     Precision,
     Probability,
+    Recurrence,
 )
 
 DONE, TERMINATED = (keys.AGENTS, keys.DONE), (keys.AGENTS, keys.TERMINATED)
@@ -60,34 +60,6 @@ class Logits(TensorDictModuleBase):
         return tensordict.set(keys.LOGITS, logits)
 
 
-class Critic(nn.Module):
-    """The value of every robot's state, from what robots see.
-
-        local:   V_i = head(relu(W h_i)),                                   h_i = encoder(o_i)
-        central: V_i = head(relu(W [h_i, mean over all robots j of h_j]))
-
-    It has an encoder of its own, does not talk and remembers nothing; any number of robots fits.
-    """
-
-    def __init__(self, encoder: Encoder, central: bool, precision: Precision) -> None:
-        super().__init__()
-        self.encoder, self.central = encoder, central
-        self.reduced = precision == "bfloat16"
-        width = encoder.out_features
-        self.head = nn.Sequential(
-            nn.Linear((1 + central) * width, width), nn.ReLU(), nn.Linear(width, 1)
-        )
-
-    def forward(self, observation: Float[Tensor, "..."]) -> Float[Tensor, "*batch agent 1"]:
-        with torch.autocast(observation.device.type, torch.bfloat16, enabled=self.reduced):
-            feature = self.encoder(observation)
-        feature = feature.float()
-        if self.central:
-            mean = feature.mean(-2, keepdim=True).expand_as(feature)
-            feature = torch.cat([feature, mean], dim=-1)
-        return self.head(feature)
-
-
 class Ppo(Agent):
     """Learn a policy that draws its actions, by clipped steps (arXiv 1707.06347).
 
@@ -97,8 +69,9 @@ class Ppo(Agent):
                + critic_coeff (V - return)^2 or Huber - entropy_coeff entropy
 
     Truncated episodes are bootstrapped, terminated ones are not. All robots share the weights;
-    messages are made anew in the loss, so gradients cross live edges. Measured and watched is the
-    most likely action. The critic is for learning alone.
+    messages are made anew in the loss, so gradients cross live edges. The critic is for learning
+    alone. What is behind a frame is valued as the next frame, so that the critic sees each frame
+    once before the epochs.
 
     What draws while it learns (dropout, dial's noise, ic3net's gate) does not while it collects, so
     ratios differ from 1 even in the first step on a block.
@@ -108,7 +81,8 @@ class Ppo(Agent):
         gamma: discount of a step.
         lmbda: of the advantages: 0 trusts the critic, 1 the returns.
         clip_epsilon: how far a ratio may move.
-        entropy_coeff: weight of the entropy bonus.
+        entropy_coeff, entropy_coeff_end: weight of the entropy bonus, which goes linearly from the
+            one to the other over the run; null: it stays.
         critic_coeff: weight of the critic's loss.
         critic_loss: `smooth_l1` (Huber), `l2` or `l1`.
         normalize_advantage: to mean 0 and deviation 1 in each minibatch.
@@ -116,13 +90,19 @@ class Ppo(Agent):
         max_grad_norm: gradients are scaled down to this norm.
         precision: the encoders' arithmetic; bfloat16 is faster.
         mask_walls: no action into a cell known to be blocked is considered.
+        zero_head: the policy's last layer begins with zeros, so that all actions are as likely.
+        play: measured and watched is the most likely action, or one drawn by what frames hold for
+            channels to draw by: a pure function of seed, env, episode, step and robot.
+        critic: what the critic knows, see `Critic`; null: as the level says.
+        critic_memory: `gru`: the critic remembers, whether or not the policy does.
+        state_shape: of the true state, for a critic that knows it.
         n_agents: robots in a world.
         num_actions: actions of a robot.
         device: where the networks live.
     """
 
     fits = {"trainer": ["on_policy"]}
-    central: ClassVar[bool]  # whether the critic knows what all robots see
+    knows: ClassVar[Knows]  # what the critic knows where `critic` does not say it
     loss_class: ClassVar[type[ClipPPOLoss]]
 
     network: RobotsNetwork
@@ -144,6 +124,12 @@ class Ppo(Agent):
         precision: Precision,
         channels: Channels,
         mask_walls: bool = False,
+        entropy_coeff_end: NonNegativeFloat | None = None,
+        zero_head: bool = False,
+        play: Play = "argmax",
+        critic: Literal["local", "robots", "state"] | None = None,
+        critic_memory: Recurrence = "none",
+        state_shape: torch.Size | None = None,
         n_agents: Count = 2,
         num_actions: Count = NUM_ACTIONS,
         device: torch.device | str = "cpu",
@@ -151,13 +137,20 @@ class Ppo(Agent):
         self.gamma, self.lr, self.lr_end = gamma, lr, lr_end
         self.max_grad_norm = max_grad_norm
         self.n_agents = n_agents
-        critic = Critic(_fresh(encoder), self.central, precision)
+        self.play = play
+        self.entropy_coeff = entropy_coeff
+        self.entropy_coeff_end = entropy_coeff if entropy_coeff_end is None else entropy_coeff_end
+        knows = self.knows if critic is None else critic
+        valuing = Critic(encoder, knows, precision, critic_memory, state_shape)
         network = RobotsNetwork(encoder, comm, num_actions, precision, channels, mask_walls)
-        self.network, self.critic = network.to(device).eval(), critic.to(device).eval()
-        values = TensorDictModule(self.critic, [keys.OBSERVATION], [keys.STATE_VALUE])
+        if zero_head:
+            for weight in network.head.parameters():
+                nn.init.zeros_(weight)
+        self.network, self.critic = network.to(device).eval(), valuing.to(device).eval()
+        self._critic_hidden: Tensor | None = None  # its memory behind the last block
         self._loss = self.loss_class(
             self._drawing(acting=False),
-            values,
+            Values(self.critic),
             clip_epsilon=clip_epsilon,
             entropy_coeff=entropy_coeff,
             critic_coeff=critic_coeff,
@@ -192,7 +185,7 @@ class Ppo(Agent):
 
     @property
     def history(self) -> int:
-        return self.network.history
+        return max(self.network.history, int(self.critic.memory is not None))
 
     def primer(self) -> TensorDictPrimer | None:
         network = self.network
@@ -200,21 +193,24 @@ class Ppo(Agent):
 
     @property
     def learns_from(self) -> Sequence[NestedKey]:
-        later = (keys.OBSERVATION, keys.REWARD, keys.DONE, keys.TERMINATED)
+        later = (*self.critic.sees, keys.REWARD, keys.DONE, keys.TERMINATED)
         begins = (keys.IS_INIT,) if self.unrolls else ()
-        now = (*self.network.sees, keys.ACTION, keys.LOG_PROB, *begins)
+        of_critic = (key for key in self.critic.sees if key not in self.network.sees)
+        now = (*self.network.sees, *of_critic, keys.ACTION, keys.LOG_PROB, *begins)
         return (*now, *(("next", key) for key in later))
 
     def policy(self) -> Greedy:
-        return Greedy(self.network, self.n_agents, records_messages=True).eval()
+        return Greedy(self.network, self.n_agents, True, draws=self.play == "sampled").eval()
 
     def exploration(self, action_spec: Composite) -> TensorDictModuleBase:
         """Return the policy that draws; it draws under TorchRL's `ExplorationType.RANDOM`."""
         return self._drawing(acting=True)
 
     def anneal(self, progress: float) -> None:
-        """Set the step size for a run of which `progress`, 0 to 1, is done."""
+        """Set step size and entropy bonus for a run of which `progress`, 0 to 1, is done."""
         set_step_size(self._optimiser, linear(self.lr, self.lr_end, progress))
+        entropy = linear(self.entropy_coeff, self.entropy_coeff_end, progress)
+        self._loss.entropy_coeff.fill_(entropy)
 
     def estimate(self, block: TensorDictBase) -> TensorDictBase:
         """Return what is learnt from a block `[env, time]`: advantages and returns added."""
@@ -223,10 +219,31 @@ class Ppo(Agent):
         if self.network.mask_walls:
             acting.allow_taken_(frames)
         with torch.no_grad():  # GAE itself would call the critic under vmap, which convolutions
-            for part in (frames, frames["next"]):  # with channels last do not go through
-                part[keys.STATE_VALUE] = self.critic(part[keys.OBSERVATION])
+            self._value_(frames)  # with channels last do not go through
             self._advantages(frames)
         return frames.exclude("next", keys.STATE_VALUE)
+
+    def _value_(self, frames: TensorDictBase) -> None:
+        """Value frames `[env, time]` and what is behind them, in place.
+
+        What is behind a frame is the next frame, but for episodes' and the block's last ones. A
+        critic's memory goes on from the block before.
+        """
+        critic, last = self.critic, acting.last_frames(frames)
+        behind = frames["next"][last]
+        feature = critic.features(*(behind[key] for key in critic.sees))
+        if critic.memory is None:
+            value = critic(*(frames[key] for key in critic.sees))
+        else:
+            hidden = nothing = critic.no_memory(frames)
+            if self._critic_hidden is not None and self._critic_hidden.shape == nothing.shape:
+                hidden = self._critic_hidden
+            value, before, after = critic.unroll(frames, hidden)
+            feature = critic.remember(feature, after[last])
+            frames[keys.CRITIC_HIDDEN], self._critic_hidden = before, after[:, -1]
+        later = value.roll(-1, dims=1)
+        later[last] = critic.head(feature)
+        frames[keys.STATE_VALUE], frames["next", keys.STATE_VALUE] = value, later
 
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Take one step of Adam on a minibatch: frames, or rows `[env, time]` if it unrolls."""
@@ -248,6 +265,7 @@ class Ppo(Agent):
         return {
             "network": self.network.state_dict(),
             "critic": self.critic.state_dict(),
+            "critic_hidden": self._critic_hidden,
             "optimiser": self._optimiser.state_dict(),
         }
 
@@ -255,14 +273,7 @@ class Ppo(Agent):
         """Resume exactly from a state of `state_dict`."""
         self.network.load_state_dict(state["network"])
         self.critic.load_state_dict(state["critic"])
+        hidden = state.get("critic_hidden")
+        device = next(self.critic.parameters()).device
+        self._critic_hidden = None if hidden is None else hidden.to(device)
         self._optimiser.load_state_dict(state["optimiser"])
-
-
-def _fresh(encoder: Encoder) -> Encoder:
-    """Return an encoder of the same kind with weights of its own, drawn anew, and no memory."""
-    other = copy.deepcopy(encoder)
-    other.memory = None
-    for module in other.modules():
-        if isinstance(module, nn.Linear | nn.Conv2d):
-            module.reset_parameters()
-    return other

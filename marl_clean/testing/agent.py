@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import torch
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
@@ -31,6 +31,10 @@ SMALL = (
     "encoder.strides=[2,2]",
     "encoder.hidden=[24]",
 )
+
+
+SHOWN_MORE = ("mask_walls", "critic", "play")
+"""Settings of learners by which an env shows more."""
 
 
 class Learner(NamedTuple):
@@ -67,6 +71,8 @@ def check_agent(
     levels = (f"{room}={names[0]}" for room, names in fits.items())
     config = _composed((*SMALL, *levels, *others)).copy()
     config.comm = level_section("comm", scheme)
+    shown = {key: value for key, value in settings.items() if key in SHOWN_MORE}
+    config.agent = OmegaConf.create({**config.agent, **shown})
     verify(" ".join([made.label, f"comm={scheme}", *others]), CLAUSES, Learner(made, config))
 
 
@@ -81,7 +87,8 @@ def started(learner: Learner) -> tuple[Agent, TransformedEnv]:
     env = build.make_env(
         learner.config, scattered_houses(), num_envs=NUM_ENVS, house_order=HouseOrder.FIXED
     )
-    needs_state = bool(learner.make.constant("needs_state"))
+    of_level = bool(learner.make.constant("needs_state"))
+    needs_state = of_level or build.needs_state(learner.config)
     if needs_state and keys.STATE not in env.observation_spec.keys():
         env.append_transform(GlobalState())
     with torch.random.fork_rng([]):

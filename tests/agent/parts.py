@@ -90,7 +90,7 @@ def make_learner(level: str, comm: str, **changes) -> Agent:
     section = OmegaConf.create({**section, "precision": "float32"})
     parts = {"encoder": encoder, "comm": make_comm(comm, encoder), "channels": {}}
     parts |= {"n_agents": 2, "num_actions": 4}
-    if constant(section["_target_"], "needs_state"):
+    if constant(section["_target_"], "needs_state") or changes.get("critic") == "state":
         parts["state_shape"] = torch.Size(STATE_SHAPE)
     torch.manual_seed(2)
     return instantiate(section, **{**parts, **changes})

@@ -222,6 +222,8 @@ def block_of_one_world() -> tuple[list, list, list, TensorDict]:
     terminated = [False, False, False, True, False]
     done = [False, True, False, True, False]
     block = transitions(5)
+    for t in (0, 2):  # what is behind a frame is the next one, but where an episode ends
+        block["next", keys.OBSERVATION][t] = block[keys.OBSERVATION][t + 1]
     block["next", keys.REWARD] = torch.tensor(rewards).unsqueeze(-1)
     block["next", keys.DONE] = torch.tensor(done).unsqueeze(-1)
     block["next", keys.TERMINATED] = torch.tensor(terminated).unsqueeze(-1)

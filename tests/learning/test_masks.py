@@ -14,6 +14,7 @@ from marl_clean.learning.symmetry import (
     rotate_action,
     rotate_masks_in_eighths,
 )
+from marl_clean.testing import check_agent
 from tests.agent.parts import LEARNERS, STATE_SHAPE, make_learner, transitions
 
 COUNT = 200
@@ -139,3 +140,8 @@ def test_the_advantages_of_dueling_are_averaged_over_all_actions() -> None:
     mask = frames[keys.ACTION_MASK]
     assert torch.equal(shown[mask], values[mask])
     assert (shown[~mask] == torch.finfo(torch.float32).min).all()
+
+
+@pytest.mark.parametrize("level", ["iql", "qmix", "central_dqn", "pqn", "ippo"])
+def test_the_contract_where_walls_are_masked(level: str) -> None:
+    check_agent(level, precision="float32", mask_walls=True)
