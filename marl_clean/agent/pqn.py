@@ -18,10 +18,10 @@ from marl_clean.encoder.base import Encoder
 from marl_clean.learning import acting
 from marl_clean.learning.acting import Greedy, entries
 from marl_clean.learning.agent import Agent, Channels, Count
-from marl_clean.learning.deep_q import DISTANCES
+from marl_clean.learning.losses import DISTANCES
 from marl_clean.learning.networks import NUM_ACTIONS, QNetwork, noisy_parts, set_noise
-from marl_clean.learning.schedules import Epsilon, linear, set_step_size
-from marl_clean.settings import PositiveFloat, Precision, Probability
+from marl_clean.learning.schedules import Discount, Epsilon, linear, set_step_size
+from marl_clean.settings import PositiveFloat, Precision, Probability, RisesWith
 
 
 @final
@@ -42,7 +42,8 @@ class Pqn(Agent):
     Args:
         encoder, comm, channels: the network's parts; their weights are learnt in place.
         dueling: see `marl_clean.learning.networks`.
-        gamma: discount of a step.
+        gamma, gamma_end, gamma_rises_with: discount of a step, see `Discount`; without an end it
+            stays.
         lmbda: of the returns: 0 trusts the values of the next step, 1 what was paid.
         lr, lr_end: RAdam's step size (arXiv 1908.03265), falling linearly over the run.
         radam_eps: added to the root of RAdam's second moment.
@@ -79,10 +80,13 @@ class Pqn(Agent):
         precision: Precision,
         channels: Channels,
         mask_walls: bool = False,
+        gamma_end: Probability | None = None,
+        gamma_rises_with: RisesWith = "progress",
         n_agents: Count = 2,
         num_actions: Count = NUM_ACTIONS,
         device: torch.device | str = "cpu",
     ) -> None:
+        self.discount = Discount(gamma, gamma_end, gamma_rises_with)
         self.gamma, self.lmbda, self.lr, self.lr_end = gamma, lmbda, lr, lr_end
         self.distance, self.max_grad_norm = DISTANCES[loss], max_grad_norm
         self.n_agents = n_agents
@@ -122,10 +126,11 @@ class Pqn(Agent):
         return TensorDictSequential(greedy, self.exploring.coin(action_spec, keys.ACTION, mask))
 
     def measures(self) -> dict[str, float]:
-        return {"epsilon": self.exploring.now}
+        return {"epsilon": self.exploring.now, **self.moving_gamma(self.discount)}
 
-    def anneal(self, progress: float) -> None:
-        """Set epsilon and step size for a run of which `progress`, 0 to 1, is done."""
+    def anneal(self, progress: float, finished: float = 0.0) -> None:
+        """Set epsilon, step size and discount for the present moment of a run."""
+        self.gamma = self.discount.at(progress, finished)
         set_step_size(self._optimiser, linear(self.lr, self.lr_end, progress))
         self.exploring.anneal(progress)
 

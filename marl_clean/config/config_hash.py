@@ -14,6 +14,8 @@ LATER: dict[str, Any] = {
     "encoder.norm": "none",
     "env.wall_pays": 2.0,
     "agent.mask_walls": False,
+    "agent.gamma_end": None,
+    "agent.gamma_rises_with": "progress",
     "agent.entropy_coeff_end": None,
     "agent.zero_head": False,
     "agent.play": "argmax",

@@ -11,6 +11,7 @@ from torchrl.data import Composite
 from torchrl.envs import Transform
 
 from marl_clean.channel.base import Channel
+from marl_clean.learning.schedules import Discount
 
 Count = int
 """Of robots or actions; handed over by whoever builds the learner, so never a config key."""
@@ -23,7 +24,7 @@ class Agent(ABC):
 
     Attributes:
         network: the module whose weights are kept, shared by both policies.
-        gamma: discount of a step.
+        gamma: discount of a step, the present one.
         n_steps: rewards summed before bootstrapping.
     """
 
@@ -66,9 +67,17 @@ class Agent(ABC):
         """Return numbers of the present exploration, for the log."""
         return {}
 
+    def moving_gamma(self, discount: Discount) -> dict[str, float]:
+        """Return the present discount for the log, if it moves."""
+        return {} if discount.gamma_end is None else {"gamma": self.gamma}
+
     @abstractmethod
-    def anneal(self, progress: float) -> None:
-        """Set exploration for a run of which `progress`, from 0 to 1, is done."""
+    def anneal(self, progress: float, finished: float = 0.0) -> None:
+        """Set exploration, discount and the like for the present moment of a run.
+
+        `progress`, from 0 to 1, of it is done; of its late episodes a share of `finished` ended
+        with every cell cleaned.
+        """
 
     def start_from_network(self) -> None:
         """Begin to learn with the weights that the network has now: a target network's, too."""

@@ -12,7 +12,6 @@ from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import expand_as_right
 from torch import Tensor, nn
-from torch.nn import functional
 
 from marl_clean import keys
 from marl_clean.comm.base import Comm
@@ -20,15 +19,17 @@ from marl_clean.encoder.base import Encoder
 from marl_clean.errors import BadInput
 from marl_clean.learning import acting, symmetry
 from marl_clean.learning.agent import Agent, Channels, Count
+from marl_clean.learning.losses import DISTANCES
 from marl_clean.learning.networks import NUM_ACTIONS, noisy_parts, set_noise
-from marl_clean.learning.schedules import Epsilon, linear, set_step_size
-from marl_clean.settings import PositiveFloat, PositiveInt, PositiveShare, Precision, Probability
-
-DISTANCES = {
-    "smooth_l1": functional.smooth_l1_loss,
-    "l2": functional.mse_loss,
-    "l1": functional.l1_loss,
-}
+from marl_clean.learning.schedules import Discount, Epsilon, linear, set_step_size
+from marl_clean.settings import (
+    PositiveFloat,
+    PositiveInt,
+    PositiveShare,
+    Precision,
+    Probability,
+    RisesWith,
+)
 
 
 class DeepQ(Agent):
@@ -46,7 +47,8 @@ class DeepQ(Agent):
         encoder, comm, channels: the network's parts; their weights are learnt in place.
         double, dueling: see above and `marl_clean.learning.networks`.
         n_steps: rewards summed before bootstrapping.
-        gamma: discount of a step.
+        gamma, gamma_end, gamma_rises_with: discount of a step, see `Discount`; without an end it
+            stays.
         lr, lr_end: Adam's step size, falling linearly over the run; late steps smaller, so that
             the greedy policy swings less from one evaluation to the next.
         loss: `smooth_l1` (Huber), `l2` or `l1`.
@@ -93,12 +95,15 @@ class DeepQ(Agent):
         messages: Literal["recomputed", "replayed"] = "recomputed",
         next_graph: Literal["own", "reused"] = "own",
         mask_walls: bool = False,
+        gamma_end: Probability | None = None,
+        gamma_rises_with: RisesWith = "progress",
         channels: Channels = MappingProxyType({}),
         state_shape: torch.Size | None = None,
         n_agents: Count = 2,
         num_actions: Count = NUM_ACTIONS,
         device: torch.device | str = "cpu",
     ) -> None:
+        self.discount = Discount(gamma, gamma_end, gamma_rises_with)
         self.gamma, self.n_steps = gamma, n_steps
         self.exploring = Epsilon(eps_init, eps_end, annealing_fraction)
         self.lr, self.lr_end = lr, lr_end
@@ -136,7 +141,7 @@ class DeepQ(Agent):
         """Where a frame holds what the network takes."""
 
     def measures(self) -> dict[str, float]:
-        return {"epsilon": self.exploring.now}
+        return {"epsilon": self.exploring.now, **self.moving_gamma(self.discount)}
 
     @abstractmethod
     def make_network(
@@ -207,8 +212,9 @@ class DeepQ(Agent):
     def policy(self) -> TensorDictModuleBase:
         return self.make_greedy(records_messages=True).eval()
 
-    def anneal(self, progress: float) -> None:
-        """Set epsilon (paper §3.4) and step size for a run of which `progress`, 0 to 1, is done."""
+    def anneal(self, progress: float, finished: float = 0.0) -> None:
+        """Set epsilon (paper §3.4), step size and discount for the present moment of a run."""
+        self.gamma = self.discount.at(progress, finished)
         set_step_size(self._optimiser, linear(self.lr, self.lr_end, progress))
         self.exploring.anneal(progress)
 

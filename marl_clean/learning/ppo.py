@@ -25,7 +25,7 @@ from marl_clean.learning.acting import Greedy, entries, record_carried
 from marl_clean.learning.agent import Agent, Channels, Count
 from marl_clean.learning.critic import Critic, Knows, Values
 from marl_clean.learning.networks import NUM_ACTIONS, RobotsNetwork, noisy_parts, set_noise
-from marl_clean.learning.schedules import linear, set_step_size
+from marl_clean.learning.schedules import Discount, linear, set_step_size
 from marl_clean.settings import (
     NonNegativeFloat,
     Play,
@@ -34,6 +34,7 @@ from marl_clean.settings import (
     Precision,
     Probability,
     Recurrence,
+    RisesWith,
 )
 
 DONE, TERMINATED = (keys.AGENTS, keys.DONE), (keys.AGENTS, keys.TERMINATED)
@@ -78,7 +79,8 @@ class Ppo(Agent):
 
     Args:
         encoder, comm, channels: the policy's parts; the critic gets an encoder of the same kind.
-        gamma: discount of a step.
+        gamma, gamma_end, gamma_rises_with: discount of a step, see `Discount`; without an end it
+            stays.
         lmbda: of the advantages: 0 trusts the critic, 1 the returns.
         clip_epsilon: how far a ratio may move.
         entropy_coeff, entropy_coeff_end: weight of the entropy bonus, which goes linearly from the
@@ -129,11 +131,14 @@ class Ppo(Agent):
         play: Play = "argmax",
         critic: Literal["local", "robots", "state"] | None = None,
         critic_memory: Recurrence = "none",
+        gamma_end: Probability | None = None,
+        gamma_rises_with: RisesWith = "progress",
         state_shape: torch.Size | None = None,
         n_agents: Count = 2,
         num_actions: Count = NUM_ACTIONS,
         device: torch.device | str = "cpu",
     ) -> None:
+        self.discount = Discount(gamma, gamma_end, gamma_rises_with)
         self.gamma, self.lr, self.lr_end = gamma, lr, lr_end
         self.max_grad_norm = max_grad_norm
         self.n_agents = n_agents
@@ -206,8 +211,13 @@ class Ppo(Agent):
         """Return the policy that draws; it draws under TorchRL's `ExplorationType.RANDOM`."""
         return self._drawing(acting=True)
 
-    def anneal(self, progress: float) -> None:
-        """Set step size and entropy bonus for a run of which `progress`, 0 to 1, is done."""
+    def measures(self) -> dict[str, float]:
+        return self.moving_gamma(self.discount)
+
+    def anneal(self, progress: float, finished: float = 0.0) -> None:
+        """Set step size, entropy bonus and discount for the present moment of a run."""
+        self.gamma = self.discount.at(progress, finished)
+        self._advantages.gamma.fill_(self.gamma)
         set_step_size(self._optimiser, linear(self.lr, self.lr_end, progress))
         entropy = linear(self.entropy_coeff, self.entropy_coeff_end, progress)
         self._loss.entropy_coeff.fill_(entropy)

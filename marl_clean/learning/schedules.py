@@ -1,9 +1,11 @@
-"""What changes over a run: step sizes, and the share of random actions."""
+"""What changes over a run: step sizes, discounts, and the share of random actions."""
 
 from tensordict import NestedKey
 from torch.optim import Optimizer
 from torchrl.data import Composite
 from torchrl.modules import EGreedyModule
+
+from marl_clean.settings import RisesWith
 
 
 def linear(start: float, end: float, progress: float) -> float:
@@ -15,6 +17,24 @@ def set_step_size(optimiser: Optimizer, lr: float) -> None:
     """Let an optimiser take steps of this size from now on, in place."""
     for group in optimiser.param_groups:
         group["lr"] = lr
+
+
+class Discount:
+    """A discount that moves from `gamma` to `gamma_end`, if there is one.
+
+    It moves with the run's progress, or with the share of episodes that were finished of late: a
+    robot that cleans its houses can look further ahead. Source: arXiv 2403.12856.
+    """
+
+    def __init__(self, gamma: float, gamma_end: float | None, rises_with: RisesWith) -> None:
+        self.gamma, self.gamma_end, self.rises_with = gamma, gamma_end, rises_with
+
+    def at(self, progress: float, finished: float) -> float:
+        """Return the discount where these shares of the run and of late episodes are done."""
+        if self.gamma_end is None:
+            return self.gamma
+        share = progress if self.rises_with == "progress" else finished
+        return linear(self.gamma, self.gamma_end, share)
 
 
 class Epsilon:

@@ -26,6 +26,7 @@ from marl_clean.trainer._interrupts import Interrupts, Stopped
 from marl_clean.trainer._outcome import Outcome
 from marl_clean.trainer._random import random_state, restore_random
 from marl_clean.trainer._selection import Best
+from marl_clean.trainer._successes import Successes
 from marl_clean.trainer._tally import Diverged, Tally
 
 Evaluate = Callable[[TensorDictModuleBase], Mapping[str, float]]
@@ -146,6 +147,7 @@ class TrainingLoop(ABC):
             auto_register_policy_transforms=False,
         )
         self.blocks = iter(self.collector)
+        self.successes = Successes()
         self.tally = Tally()
         self.frames = self.updates = 0
         self.logged = self.evaluated = self.saved = 0  # frames at the last time
@@ -155,7 +157,6 @@ class TrainingLoop(ABC):
         """Collect a block of frames `[env, time]` with exploration, and count what came of it."""
         block = next(self.blocks)
         self.frames += block.numel()
-        self.agent.anneal(self.frames / self.settings.total_frames)
         later = block["next"]
         if not later[keys.REWARD].isfinite().all():
             raise Diverged(f"frame {self.frames}: a reward is NaN or infinite")
@@ -165,7 +166,14 @@ class TrainingLoop(ABC):
         finished = later[keys.TERMINATED].squeeze(-1)
         self.tally.add("finished", finished.double(), where=done)
         self.curriculum.note(self.env.base_env, done, finished)
+        self.successes.note(done, finished)
+        self.anneal()
         return block
+
+    def anneal(self) -> None:
+        """Let the agent explore and learn as is due after so many frames and successes."""
+        progress = self.frames / self.settings.total_frames
+        self.agent.anneal(progress, self.successes.share)
 
     @abstractmethod
     def learn(self, block: TensorDictBase) -> None:
@@ -235,6 +243,7 @@ class TrainingLoop(ABC):
             **self.own_state(),
             "tally": self.tally.state(),
             "curriculum": self.curriculum.state(),
+            "successes": {"share": self.successes.share},
             "random": random_state(self.env.device),
         }
         self.checkpoints.save("state", self.frames, state, {})
@@ -246,7 +255,7 @@ class TrainingLoop(ABC):
             self._restore(newest.tree)
             self.checkpoints.forget_after(self.frames)
             self.best.save()
-        self.agent.anneal(self.frames / self.settings.total_frames)
+        self.anneal()
         for logger in self.loggers:
             logger.resume(self.logged)
 
@@ -265,6 +274,7 @@ class TrainingLoop(ABC):
         self.restore_own(state)
         self.tally.restore(state["tally"])
         self.curriculum.restore(state["curriculum"])
+        self.successes.share = state.get("successes", {"share": 0.0})["share"]
         restore_random(state["random"], device)
 
     def finish(self) -> Outcome:

@@ -115,6 +115,7 @@ class OffPolicyLoop(TrainingLoop):
 
     def learn(self, block: TensorDictBase) -> None:
         """Remember what can be learnt from; learn as often as the frames since the start allow."""
+        self.windows.gamma = self.agent.gamma
         ready = self.windows.inv(block.select(*self.agent.learns_from))
         if ready is not None:
             ready = ready.select(*self.agent.learns_from, keys.STEPS_TO_NEXT_OBS)

@@ -40,7 +40,14 @@ def with_memory() -> tuple[Trainer, Agent]:
 
 KINDS = {
     "on policy": lambda: (OnPolicy(**ON_POLICY), make_learner("mappo", "plan")),
-    "pqn": lambda: (OnPolicy(**ON_POLICY), make_learner("pqn", "commnet")),
+    "pqn": lambda: (
+        OnPolicy(**ON_POLICY),
+        make_learner("pqn", "commnet", gamma_end=0.5, gamma_rises_with="successes"),
+    ),
+    "a critic with memory": lambda: (
+        OnPolicy(**ON_POLICY),
+        make_learner("ippo", "plan", critic_memory="gru", entropy_coeff_end=0.0),
+    ),
     "mixed": lambda: (OffPolicy(**SETTINGS), make_learner("vdn", "commnet")),
     "with memory": with_memory,
     "on policy with memory": lambda: (
