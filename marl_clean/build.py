@@ -22,6 +22,7 @@ from marl_clean.env.action_mask import KnownWalls
 from marl_clean.env.channel_seed import ChannelSeed
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.env.global_state import GlobalState
+from marl_clean.env.shaping import Potential, Shaping
 from marl_clean.env.transformed import TransformedWorlds
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses, draw_bank, draw_houses, smallest_first, split_seeds
@@ -52,6 +53,7 @@ def make_env(
     never_stuck: bool = False,
     first_env: int = 0,
     seeded: bool = False,
+    shaped: bool = True,
 ) -> TransformedEnv:
     """Put env, topology, observation and reward together; for an external task see `make_task`.
 
@@ -63,6 +65,7 @@ def make_env(
         never_stuck: without truncation when nothing new is cleaned, as evaluation plays.
         first_env: index of the first world; what is drawn in a world depends on its index.
         seeded: frames hold draws for channels, whether or not the config's channel draws.
+        shaped: robots are paid for `env.shaping`; evaluation, which looks at no pay, spares it.
     """
     if not has_houses(cfg):
         return make_task(cfg, num_envs, first_env)
@@ -87,7 +90,10 @@ def make_env(
         further.append(GlobalState())
     if cfg.agent.get("mask_walls", False):
         further.append(KnownWalls())
-    transforms = (topology, observation, *further, *draws(cfg, seeded), *payment(cfg))
+    weight = env.rules.shaping if shaped else 0.0
+    if weight:
+        further.append(Potential())
+    transforms = (topology, observation, *further, *draws(cfg, seeded), *payment(cfg, weight))
     return TransformedWorlds(env, Compose(*transforms))
 
 
@@ -121,10 +127,15 @@ def needs_state(cfg: DictConfig) -> bool:
     return bool(constant(cfg.agent._target_, "needs_state")) or cfg.agent.get("critic") == "state"
 
 
-def payment(cfg: DictConfig) -> list[Transform]:
-    """Build what turns own rewards into what the robots are paid, and sums it up."""
+def payment(cfg: DictConfig, shaping: float = 0.0) -> list[Transform]:
+    """Build what turns own rewards into what the robots are paid, and sums it up.
+
+    `shaping`: the weight of what shaping adds before the split; its discount is the learner's.
+    """
+    split = instantiate(cfg.reward)
+    pays = Shaping(split, shaping, cfg.agent.gamma) if shaping else split
     total = RewardSum(in_keys=[keys.REWARD], out_keys=[keys.EPISODE_REWARD])
-    return [instantiate(cfg.reward), total]
+    return [pays, total]
 
 
 def make_planner(cfg: DictConfig, env: TransformedEnv) -> Planner:

@@ -9,6 +9,7 @@ AGENTS = "agents"
 OBSERVATION = (AGENTS, "observation")  # *B n ch K K, or *B n d, float32
 POSITION = (AGENTS, "position")  # *B n 2 int64, (row, col) in the house
 ADJACENCY = (AGENTS, "adjacency")  # *B n n bool, symmetric, false on the diagonal
+POTENTIAL = (AGENTS, "potential")  # *B n 1 float32: of shaping, 0 to -60
 DISTANCE_RANK = (AGENTS, "distance_rank")  # *B n n int64, 0 itself, 1 the nearest, ...
 
 ACTION = (AGENTS, "action")  # *B n int64: 0 up, 1 right, 2 down, 3 left
@@ -49,6 +50,7 @@ OWN_REWARD = (AGENTS, "own_reward")  # *B n 1 float32: what it earned itself in 
 INFO_STEP = (AGENTS, "info", "step")  # *B n 1 float32, the three terms of own_reward
 INFO_CLEANING = (AGENTS, "info", "cleaning")
 INFO_DISCOVERY = (AGENTS, "info", "discovery")
+INFO_SHAPING = (AGENTS, "info", "shaping")  # of no own_reward, in reward alone
 EPISODE_REWARD = (AGENTS, "episode_reward")  # *B n 1 float32: sum of reward so far
 
 DONE = "done"  # *B 1 bool

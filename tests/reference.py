@@ -60,6 +60,8 @@ class Settings:
     cases: Cases = Cases.ADD
     obstacles: ObstaclePay = ObstaclePay.FIRST
     wall_pays: Fraction | float = 2  # what learning of a wall pays
+    shaping: Fraction | float = 0  # w of the shaping term w (gamma phi' - phi)
+    gamma: Fraction | float = Fraction(7, 8)  # the learner's
     bump_noise: float = 0.0  # who misses which bump is drawn elsewhere, and handed to the world
     max_steps: int | None = None  # None: 4 * R * C // n_agents + 50
     stuck_after: int | None = 100  # None: off
@@ -206,6 +208,7 @@ class Outcome:
     cleaning: list[Fraction]
     discovery: list[Fraction]
     own_reward: list[Fraction]
+    shaping: list[Fraction]
     reward: list[Fraction]
     terminated: bool
     truncated: bool
@@ -347,6 +350,28 @@ class World:
             for down in offsets
         ]
 
+    def potential(self, robot: int) -> int:
+        """Minus the steps to the nearest unknown or never cleaned cell of the house, by its map.
+
+        Over cells known to be available; -60 where that is farther, or none can be reached.
+        """
+        known, start = self.map_of(robot), self.positions[robot]
+        distances, queue = {start: 0}, deque([start])
+        while queue:
+            place = queue.popleft()
+            for reached in neighbours(place):
+                held = known.get(reached)
+                row, col = reached
+                in_house = 0 <= row < self.rows and 0 <= col < self.cols
+                if reached in distances or (held is None and not in_house):
+                    continue
+                if held is None or (not held.blocked and held.cleaned is None):
+                    return -min(60, distances[place] + 1)
+                if not held.blocked:
+                    distances[reached] = distances[place] + 1
+                    queue.append(reached)
+        return -60
+
     def action_mask(self, robot: int) -> list[bool]:
         """By action: whether the robot's map does not hold the neighbour for blocked; else all."""
         held = [self.map_of(robot).get(place) for place in neighbours(self.positions[robot])]
@@ -363,6 +388,7 @@ class World:
         bumped = [not self.is_free(place) for place in target]
         collided = [not (m or b) for m, b in zip(moved, bumped, strict=True)]
         robots = range(self.n_agents)
+        before = [self.potential(robot) for robot in robots]
         noticed = [bumped[i] and (self.steps, i) not in self.missed for i in robots]
         terms = [self._reward_terms(i, target[i], moved[i], noticed[i]) for i in robots]
         own_reward = [sum(robot_terms, Fraction(0)) for robot_terms in terms]
@@ -379,6 +405,10 @@ class World:
         self._merge()
 
         terminated = self.cleaned == free_places(self.free)
+        after = [0 if terminated else self.potential(robot) for robot in robots]
+        weight, gamma = exact(self.settings.shaping), exact(self.settings.gamma)
+        shaping = [weight * (gamma * new - old) for old, new in zip(before, after, strict=True)]
+        earned = [own + term for own, term in zip(own_reward, shaping, strict=True)]
         step, cleaning, discovery = (list(term) for term in zip(*terms, strict=True))
         return Outcome(
             moved=moved,
@@ -390,7 +420,8 @@ class World:
             cleaning=cleaning,
             discovery=discovery,
             own_reward=own_reward,
-            reward=self._shared(own_reward, contacts),
+            shaping=shaping,
+            reward=self._shared(earned, contacts),
             terminated=terminated,
             truncated=not terminated and (self.steps >= self.max_steps or self.stuck()),
         )

@@ -13,6 +13,7 @@ LATER: dict[str, Any] = {
     "house.free_colours": None,
     "encoder.norm": "none",
     "env.wall_pays": 2.0,
+    "env.shaping": 0.0,
     "agent.mask_walls": False,
     "agent.gamma_end": None,
     "agent.gamma_rises_with": "progress",

@@ -14,10 +14,19 @@ from torchrl.envs import (
 
 from marl_clean import keys
 from marl_clean.env.channel_seed import ChannelSeed
+from marl_clean.env.shaping import Shaping
 from marl_clean.env.transform import RewardTransform, WorldTransform
 from marl_clean.world.step import Along, Entries
 
-KNOWN = (WorldTransform, RewardTransform, ChannelSeed, RewardSum, InitTracker, TensorDictPrimer)
+KNOWN = (
+    WorldTransform,
+    RewardTransform,
+    Shaping,
+    ChannelSeed,
+    RewardSum,
+    InitTracker,
+    TensorDictPrimer,
+)
 """Transforms that add entries and leave actions as they are."""
 
 
@@ -64,6 +73,12 @@ class TransformedWorlds(TransformedEnv):
         """The transforms, in their order."""
         whole = self.transform
         return list(whole.transforms) if isinstance(whole, Compose) else [whole]
+
+    def set_gamma(self, gamma: float) -> None:
+        """Shape rewards from now on by this discount of the learner's, where they are shaped."""
+        for transform in self.transforms:
+            if isinstance(transform, Shaping):
+                transform.gamma = gamma
 
     def begin_anew(
         self, carried: TensorDictBase, done: Bool[Tensor, "env 1"], rows: Int[Tensor, " row"]

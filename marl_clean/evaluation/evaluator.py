@@ -104,6 +104,7 @@ def held_out_env(
         house_order=HouseOrder.FIXED,
         never_stuck=True,
         seeded=seeded,
+        shaped=False,
     )
     env.set_seed(START_SEEDS[house_set])
     return env

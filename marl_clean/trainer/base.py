@@ -15,6 +15,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
 from marl_clean import keys
+from marl_clean.env.transformed import TransformedWorlds
 from marl_clean.errors import BadInput
 from marl_clean.learning.agent import Agent
 from marl_clean.logger.base import CLOCK, Logger, Progress
@@ -162,6 +163,8 @@ class TrainingLoop(ABC):
             raise Diverged(f"frame {self.frames}: a reward is NaN or infinite")
         done = later[keys.DONE].squeeze(-1)
         self.tally.add("reward", later[keys.REWARD])
+        if (shaping := later.get(keys.INFO_SHAPING, None)) is not None:
+            self.tally.add("shaping", shaping)
         self.tally.add("episode_reward", later[keys.EPISODE_REWARD].mean((-2, -1)), where=done)
         finished = later[keys.TERMINATED].squeeze(-1)
         self.tally.add("finished", finished.double(), where=done)
@@ -171,9 +174,14 @@ class TrainingLoop(ABC):
         return block
 
     def anneal(self) -> None:
-        """Let the agent explore and learn as is due after so many frames and successes."""
+        """Let the agent explore and learn as is due after so many frames and successes.
+
+        Shaping pays by the discount that it learns with from now on.
+        """
         progress = self.frames / self.settings.total_frames
         self.agent.anneal(progress, self.successes.share)
+        if isinstance(self.env, TransformedWorlds):
+            self.env.set_gamma(self.agent.gamma)
 
     @abstractmethod
     def learn(self, block: TensorDictBase) -> None:

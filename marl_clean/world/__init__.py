@@ -2,6 +2,6 @@
 
 Reading order, ten minutes: `rules` (what is fixed), `state` (what changes), `setup` (what begins
 and stays), `step` (a step and a beginning), `dynamics` (who moves), `rewards` (what it pays),
-`shared_map` (what the robots remember), `sensing` (what they see), `furniture`, `distance` and
-`random`.
+`shared_map` (what the robots remember), `sensing` (what they see), `furniture`, `distance`,
+`potential` and `random`.
 """

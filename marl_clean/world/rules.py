@@ -12,6 +12,7 @@ from marl_clean.settings import (
     Decay,
     Knowledge,
     Memory,
+    NonNegativeFloat,
     ObstaclePay,
     PositiveInt,
     Probability,
@@ -54,6 +55,8 @@ class Rules:
         stuck_after: steps without a newly cleaned cell that end an episode; None: never.
         wall_pays: what discovering a wall pays, from 0 to DISCOVERY_PAYS, which is what entering an
             unknown cell pays.
+        shaping: w, the weight of the shaping term, which a transform adds to what robots earn where
+            it is above 0; nothing in the worlds themselves depends on it.
         bump_noise: probability that a bump goes unnoticed: nothing is written, nothing paid.
         margin: cells around the house in every stored matrix: the ring's 1 and half the view.
         decay_a_step: how much the shown value of a cleaned cell falls a step.
@@ -77,6 +80,7 @@ class Rules:
     obstacles: ObstaclePay = ObstaclePay.FIRST
     stuck_after: PositiveInt | None = 100
     wall_pays: WallPays = DISCOVERY_PAYS
+    shaping: NonNegativeFloat = 0.0
     bump_noise: Probability = 0.0
     margin: Margin = 7
     decay_a_step: float = field(init=False)

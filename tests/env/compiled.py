@@ -26,7 +26,8 @@ SMALL = [
     "observation.view_size=5",  # smaller than a map: the largest tensor made must not be one
 ]
 NOISE = ["env.bump_noise=0.3", "observation.position_noise=0.3"]
-CASES = [[], ["observation=frontier", "env.memory=private", *NOISE]]
+LATER = ["env.shaping=0.5", "env.wall_pays=0.5", "env.decay_steps=null", "agent.mask_walls=true"]
+CASES = [[], ["observation=frontier", "env.memory=private", *NOISE, *LATER]]
 STEPS = [["env.memory=private"], ["env.sensor=touch4"]]  # of the maps alone
 SIZE = re.compile(r"empty_strided_\w+\(\(([\d, ]+)\)")
 

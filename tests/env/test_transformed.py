@@ -36,6 +36,8 @@ CASES = {
     "lossy": [*SMALL, "channel=[lossy,delayed]", "channel.lossy.burst_start=0.2"],
     "gru": [*SMALL, "encoder.memory=gru"],
     "state": [*SMALL, "agent=qmix", "reward=team"],
+    "mask": [*SMALL, "agent.mask_walls=true", "env.memory=private"],
+    "shaping": [*SMALL, "env.shaping=0.5", "env.memory=merged"],
     "one robot": [*SMALL, "env.n_agents=1"],
 }
 

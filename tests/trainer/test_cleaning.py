@@ -63,8 +63,9 @@ def train(folder, overrides, die_after: int | None = None) -> None:
     [
         ["trainer.total_frames=512"],
         ["trainer.total_frames=512", "env.memory=merged", "env.n_agents=3", "agent.augment=true"],
+        ["trainer.total_frames=512", "env.memory=private", "env.shaping=0.5"],
     ],
-    ids=["shared", "merged"],
+    ids=["shared", "merged", "shaped"],
 )
 def test_a_killed_run_ends_as_the_uninterrupted_one(tmp_path, overrides):
     train(tmp_path / "whole", overrides)

@@ -6,6 +6,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import Compose, TransformedEnv
 
 from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.env.shaping import Potential, Shaping
 from marl_clean.house.base import Houses
 from marl_clean.observation.crop import Crop
 from marl_clean.reward.individual import Individual
@@ -77,6 +78,7 @@ def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
         cases=settings.cases,
         obstacles=settings.obstacles,
         wall_pays=float(settings.wall_pays),
+        shaping=float(settings.shaping),
         bump_noise=settings.bump_noise,
         margin=max(side // 2, settings.view_size // 2),
     )
@@ -91,7 +93,11 @@ def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
         contact=topology.contact,
     )
     crop = Crop(side if whole_map else settings.view_size)
-    return TransformedEnv(base, Compose(topology, crop, REWARDS[settings.reward]()))
+    split = REWARDS[settings.reward]()
+    if not settings.shaping:
+        return TransformedEnv(base, Compose(topology, crop, split))
+    shaping = Shaping(split, float(settings.shaping), float(settings.gamma))
+    return TransformedEnv(base, Compose(topology, crop, Potential(), shaping))
 
 
 def stack(cases: list[Case]) -> Houses:

@@ -149,6 +149,7 @@ def settings(draw: st.DrawFn) -> Settings:
         cases=draw(st.sampled_from(Cases)),
         obstacles=draw(st.sampled_from(ObstaclePay)),
         wall_pays=draw(st.sampled_from([2, 2, Fraction(1, 2), 0])),
+        shaping=draw(st.sampled_from([0, 0, Fraction(1, 2)])),
         bump_noise=draw(st.sampled_from([0.0, 0.0, 0.3, 1.0])),
         max_steps=draw(st.sampled_from([None, None, None, 7, MAX_STEPS_PLAYED])),
         stuck_after=draw(st.sampled_from([None, None, 100, 20, 8])),

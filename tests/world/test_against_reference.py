@@ -35,7 +35,9 @@ def assert_same_outcome(tensordict, state, index: int, world: World, outcome) ->
     assert state.bumped[index].tolist() == outcome.bumped
     assert state.collided[index].tolist() == outcome.collided
     assert state.newly_cleaned[index].tolist() == outcome.newly_cleaned
+    shaping = [(keys.INFO_SHAPING, outcome.shaping)] if world.settings.shaping else []
     for key, expected in (
+        *shaping,
         (keys.INFO_STEP, outcome.step),
         (keys.INFO_CLEANING, outcome.cleaning),
         (keys.INFO_DISCOVERY, outcome.discovery),

@@ -14,6 +14,7 @@ WRONG = {
     "unknown_pays_as": 0.3,
     "decay_steps": 0,
     "wall_pays": 2.5,
+    "shaping": -0.5,
     "bump_noise": 1.5,
     "stuck_after": 0,
 }
