@@ -1,13 +1,17 @@
-"""Walking distances over grids, for planners, bounds and connectivity.
+"""Walking distances over grids, for planners, bounds, connectivity and what robots see.
 
-These cost the whole house times the longest way; no hot path of the world calls them.
+On a CPU a search is machine code that visits a cell once; elsewhere a flood, whose every step is
+over all cells of all grids at once. Both give the same numbers.
 """
 
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-UNREACHABLE = 1 << 30
+from marl_clean.world import _searches
+from marl_clean.world._searches import UNREACHABLE
+
+STEPS_BETWEEN_LOOKS = 16  # of a flood: whether it goes on is waited for, where it is on a GPU
 
 
 def neighbours(matrix: Tensor, outside: bool | int) -> Tensor:
@@ -24,7 +28,7 @@ def neighbours(matrix: Tensor, outside: bool | int) -> Tensor:
     )
 
 
-@torch.compiler.disable  # a loop as long as the longest path; called as it is
+@torch.compiler.disable  # machine code, or a loop as long as the longest path; called as it is
 def walking_distance(
     passable: Bool[Tensor, "*batch height width"], sources: Bool[Tensor, "*batch height width"]
 ) -> Int[Tensor, "*batch height width"]:
@@ -33,16 +37,91 @@ def walking_distance(
     Sources are at 0 whether passable or not; cells that no way leads to are UNREACHABLE, and so
     are impassable ones that are no source. int32.
     """
+    if passable.device.type != "cpu":
+        return flood(passable, sources)
+    passable, sources = torch.broadcast_tensors(passable, sources)
+    height, width = passable.shape[-2:]
+    grids = (grid.reshape(-1, height, width).numpy() for grid in (passable, sources))
+    return torch.from_numpy(_searches.distances(*grids)).view(passable.shape)
+
+
+@torch.compiler.disable
+def first_steps(
+    passable: Bool[Tensor, "env map height width"],
+    goals: Bool[Tensor, "env map height width"],
+    start: Int[Tensor, "env agent"],
+    others: Int[Tensor, "env agent"],
+    rivals: Bool[Tensor, "env agent agent"],
+) -> tuple[Bool[Tensor, "env agent 4"], Int[Tensor, "env agent"]]:
+    """Return which first steps lead to each robot's nearest goal, and how many steps it takes.
+
+    Of the goals at 1 step or more to which none of the robot's `rivals` is nearer, over passable
+    cells of the one map or of the robot's own; goals and starts need not be passable, and robots
+    are in nobody's way. All shortest ways to all such goals at that distance count. No step, and
+    UNREACHABLE, where there is none. `start` and `others` are flat cells
+    of the grid: where each robot begins, and where robots stand for each other. int32.
+    """
+    if passable.device.type != "cpu":
+        return flood_first_steps(passable, goals, start, others, rivals)
+    passable, goals = torch.broadcast_tensors(passable, goals)
+    given = (each.contiguous().numpy() for each in (passable, goals, start, others, rivals))
+    ways, lengths = _searches.first_steps(*given)
+    return torch.from_numpy(ways), torch.from_numpy(lengths)
+
+
+def flood(
+    passable: Bool[Tensor, "*batch height width"], sources: Bool[Tensor, "*batch height width"]
+) -> Int[Tensor, "*batch height width"]:
+    """Return what `walking_distance` does, by tensor steps on any device."""
     distance = torch.where(sources, 0, UNREACHABLE).to(torch.int32)
-    frontier = sources
+    wave = sources
     unreached = passable & ~sources
     steps = 0
-    while frontier.any():
+    while steps % STEPS_BETWEEN_LOOKS or wave.any():
         steps += 1
-        frontier = neighbours(frontier, False).any(0) & unreached
-        unreached = unreached & ~frontier
-        distance = torch.where(frontier, steps, distance)
+        wave = neighbours(wave, False).any(0) & unreached
+        unreached = unreached & ~wave
+        distance = torch.where(wave, steps, distance)
     return distance
+
+
+def flood_first_steps(
+    passable: Bool[Tensor, "env map height width"],
+    goals: Bool[Tensor, "env map height width"],
+    start: Int[Tensor, "env agent"],
+    others: Int[Tensor, "env agent"],
+    rivals: Bool[Tensor, "env agent agent"],
+) -> tuple[Bool[Tensor, "env agent 4"], Int[Tensor, "env agent"]]:
+    """Return what `first_steps` does, by tensor steps on any device."""
+    height, width = passable.shape[-2:]
+
+    def marked(cell: Int[Tensor, "env agent"]) -> Bool[Tensor, "env agent cell"]:
+        place = torch.zeros((*cell.shape, height * width), dtype=torch.bool, device=cell.device)
+        return place.scatter(2, cell[..., None], True)
+
+    own = marked(start)
+    theirs = (rivals.float() @ marked(others).float()) > 0
+    wave = (own | theirs).unflatten(-1, (height, width))
+    own = own.unflatten(-1, (height, width))
+    # Which of a robot's first steps its wave came by, [4, env, agent, height, width]. A cell whose
+    # lower neighbour is the start was entered by a step up, and so on.
+    mine = neighbours(own, False)[[2, 3, 0, 1]]
+    open_cells, reached = passable | goals, wave
+    ways = torch.zeros((*start.shape, 4), dtype=torch.bool, device=start.device)
+    lengths = torch.full(start.shape, UNREACHABLE, dtype=torch.int32, device=start.device)
+    steps = 0
+    while steps % STEPS_BETWEEN_LOOKS or (wave.flatten(2).any(-1) & (lengths == UNREACHABLE)).any():
+        steps += 1
+        onward = wave if steps == 1 else wave & passable
+        fresh = neighbours(onward, False).any(0) & open_cells & ~reached
+        came_by = mine if steps == 1 else neighbours(mine & passable, False).any(0)
+        mine = came_by & fresh
+        reached, wave = reached | fresh, fresh
+        at_goal = (mine & goals).flatten(3).any(-1).movedim(0, -1)
+        first = at_goal.any(-1) & (lengths == UNREACHABLE)
+        ways |= at_goal & first[..., None]
+        lengths = torch.where(first, steps, lengths)
+    return ways, lengths
 
 
 def is_connected(free: Bool[Tensor, "*batch height width"]) -> Bool[Tensor, "*batch"]:

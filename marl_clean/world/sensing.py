@@ -102,11 +102,15 @@ def distance_rank(position: Int[Tensor, "env agent 2"]) -> Int[Tensor, "env agen
     Ties go to the smaller (row, col) offset, never to the robot's number, so that relabelling
     the robots relabels the ranks.
     """
-    offset = offsets(position)
+    key = distance_key(offsets(position))
+    return (key[..., None, :] < key[..., :, None]).sum(-1)
+
+
+def distance_key(offset: Int[Tensor, "*batch 2"]) -> Int[Tensor, "*batch"]:
+    """Return numbers that order offsets by their length, and then by (row, col)."""
     span = 1 << 14  # above any side of a house, so that the three parts of the key never mix
     squared = offset.square().sum(-1)
-    key = (squared * span + offset[..., 0] + span // 2) * span + offset[..., 1] + span // 2
-    return (key[..., None, :] < key[..., :, None]).sum(-1)
+    return (squared * span + offset[..., 0] + span // 2) * span + offset[..., 1] + span // 2
 
 
 def in_view(

@@ -1,0 +1,208 @@
+"""The compass is what plain searches and counts over the robots' map give, cell by cell."""
+
+import math
+from collections import deque
+from itertools import product
+
+import torch
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs.utils import step_mdp
+
+from marl_clean import keys
+from marl_clean.observation.compass import Compass
+from marl_clean.settings import Memory
+from tests.observation.plain import believed
+from tests.reference import Place, World, neighbour, neighbours
+from tests.world.play import env_of, start, topology_of
+from tests.world.strategies import Case, cases
+
+STEPS = 12
+FAR = 1023
+CLOSE = {"atol": 1e-6, "rtol": 0}
+
+
+class PlainCompass:
+    """What one robot is shown, from the plain world alone."""
+
+    def __init__(self, world: World, robot: int, noise: float, index: int) -> None:
+        self.world, self.known = world, world.map_of(robot)
+        self.centre = believed(world, robot, noise, index)
+        contacts = world.contacts()
+        shared = world.settings.memory is Memory.SHARED
+        others = [other for other in range(world.n_agents) if other != robot]
+        self.others = [world.positions[i] for i in others if shared or contacts[robot][i]]
+        rows, cols = range(-1, world.rows + 1), range(-1, world.cols + 1)
+        self.cells = list(product(rows, cols))
+
+    def is_unknown(self, place: Place) -> bool:
+        return place in self.cells and place not in self.known
+
+    def is_blocked(self, place: Place) -> bool:
+        return place in self.known and self.known[place].blocked
+
+    def is_free(self, place: Place) -> bool:
+        return place in self.known and not self.known[place].blocked
+
+    def is_uncleaned(self, place: Place) -> bool:
+        return self.is_free(place) and self.known[place].cleaned is None
+
+    def continues_a_wall(self, place: Place) -> bool:
+        row, col = place
+        for down, right in ((0, 1), (1, 0)):
+            wall = {k: self.is_blocked((row + k * down, col + k * right)) for k in (-2, -1, 1, 2)}
+            if (wall[-2] and wall[-1]) or (wall[-1] and wall[1]) or (wall[1] and wall[2]):
+                return True
+        return False
+
+    def walk(self, begin: Place, goals: set[Place]) -> dict[Place, int]:
+        """Steps from a place to others; goals are walked onto, and over where they are free."""
+        steps, queue = {begin: 0}, deque([begin])
+        while queue:
+            place = queue.popleft()
+            if place != begin and not self.is_free(place):
+                continue
+            for beside in neighbours(place):
+                if beside not in steps and (self.is_free(beside) or beside in goals):
+                    steps[beside] = steps[place] + 1
+                    queue.append(beside)
+        return steps
+
+    def ways(self, goals: set[Place], rivals: list[Place]) -> list[float]:
+        mine = self.walk(self.centre, goals)
+        theirs = [self.walk(rival, goals) for rival in rivals]
+        left = {
+            goal
+            for goal in goals
+            if mine.get(goal, 0) > 0
+            and all(mine[goal] <= walk.get(goal, mine[goal]) for walk in theirs)
+        }
+        if not left:
+            return [0.0] * 4 + [self.far(None)]
+        nearest = min(mine[goal] for goal in left)
+        targets = {goal for goal in left if mine[goal] == nearest}
+        shown = []
+        for action in range(4):
+            beside = neighbour(self.centre, action)
+            enters = self.is_free(beside) or beside in goals
+            onward = self.walk(beside, goals) if enters else {}
+            shown.append(float(any(onward.get(goal) == nearest - 1 for goal in targets)))
+        return [*shown, self.far(nearest)]
+
+    def far(self, steps: int | None) -> float:
+        return math.log2(1 + min(FAR, FAR if steps is None else steps)) / 10
+
+    def numbers(self, side: int) -> list[float]:
+        row, col = self.centre
+        reach = range(-(side // 2), side // 2 + 1)
+        square = [(row + down, col + right) for down in reach for right in reach]
+        unknown = {place for place in self.cells if self.is_unknown(place)}
+        goals = unknown | {place for place in self.cells if self.is_uncleaned(place)}
+        steps = {place: self.to_goal(place, goals) for place in [self.centre, *square]}
+        for action in range(4):
+            beside = neighbour(self.centre, action)
+            steps[beside] = self.to_goal(beside, goals)
+        own = steps[self.centre]
+
+        shown: list[float] = [float(self.is_blocked(place)) for place in square]
+        shown += [float(place in unknown) for place in square]
+        shown += [self.cleanness(place) for place in square]
+        shown += [self.nearer(own, steps[place]) for place in square]
+        shown += [float(place in self.others) for place in square]
+        for block in (3, 9):
+            first = 5 * block // 2
+            inside = {
+                (i, j): [
+                    (row - first + i * block + down, col - first + j * block + right)
+                    for down, right in product(range(block), repeat=2)
+                ]
+                for i, j in product(range(5), repeat=2)
+            }
+            share = [sum(p in unknown for p in places) / block**2 for places in inside.values()]
+            shown += share
+            shown += [sum(map(self.is_blocked, ps)) / block**2 for ps in inside.values()]
+            shown += [float(each > 0) for each in share]
+            shown += [float(any(p in self.others for p in ps)) for ps in inside.values()]
+        beside = [neighbour(self.centre, action) for action in range(4)]
+        shown += [float(steps[p] is not None and (own is None or steps[p] < own)) for p in beside]
+        shown += [float(place in unknown) for place in beside]
+        shown += [float(self.is_blocked(place)) for place in beside]
+        shown.append(self.far(own))
+        shown += self.nearest_other()
+        shown += self.ways(unknown, self.others)
+        onward = {place for place in unknown if not self.continues_a_wall(place)}
+        return shown + self.ways(onward, [])
+
+    def to_goal(self, place: Place, goals: set[Place]) -> int | None:
+        """Steps from a place to the nearest goal; none from where nobody can walk."""
+        if place in goals:
+            return 0
+        if not self.is_free(place):
+            return None
+        return min(
+            (n for goal, n in self.walk(place, goals).items() if goal in goals), default=None
+        )
+
+    def cleanness(self, place: Place) -> float:
+        if not self.is_free(place):
+            return 0.0
+        cleaned = self.known[place].cleaned
+        return -1.0 if cleaned is None else 0.3 + 0.7 * math.exp((cleaned - self.world.steps) / 12)
+
+    def nearer(self, own: int | None, steps: int | None) -> float:
+        if own is None:
+            return 0.0
+        return -1.0 if steps is None else max(-1.0, min(1.0, (own - steps) / 3))
+
+    def nearest_other(self) -> list[float]:
+        seen = [(r - self.centre[0], c - self.centre[1]) for r, c in self.others]
+        if not seen:
+            return [0.0] * 4
+        row, col = min(seen, key=lambda o: (o[0] ** 2 + o[1] ** 2, *o))
+        cut = [max(-1.0, min(1.0, each / 10)) for each in (row, col)]
+        return [*cut, 1.0, 1 / (1 + math.hypot(row, col))]
+
+
+@given(
+    case=cases(max_agents=4),
+    side=st.sampled_from([3, 5, 7]),
+    noise=st.sampled_from([0.0, 0.0, 0.5]),
+)
+@hypothesis_settings(max_examples=40, deadline=None)
+def test_every_number_is_a_plain_counts(case: Case, side: int, noise: float) -> None:
+    assert_compass([case], side, noise)
+
+
+@given(data=st.data())
+@hypothesis_settings(max_examples=10, deadline=None)
+def test_a_larger_house_beside_it_changes_nothing(data: st.DataObject) -> None:
+    first = data.draw(cases(max_agents=2))
+    n_agents = len(first.starts)
+    same = cases(st.just(first.settings), n_agents).filter(lambda c: len(c.starts) == n_agents)
+    assert_compass([first, data.draw(same)], 7, 0.0)
+
+
+def assert_compass(drawn: list[Case], side: int, noise: float) -> None:
+    base = env_of(drawn).base_env
+    compass = Compass(side, noise)
+    env = TransformedEnv(base, Compose(topology_of(drawn[0].settings), compass))
+    worlds = [case.world(index) for index, case in enumerate(drawn)]
+    playing = [True] * len(drawn)
+    tensordict = start(env, drawn)
+    for step in range(min(STEPS, *(len(case.actions) for case in drawn))):
+        shown = tensordict[keys.OBSERVATION]
+        by_tensors = compass.by_tensors(base.state, base.setup)
+        torch.testing.assert_close(by_tensors, shown, **CLOSE)
+        for index, world in enumerate(worlds):
+            for robot in range(world.n_agents if playing[index] else 0):
+                expected = PlainCompass(world, robot, noise, index).numbers(side)
+                torch.testing.assert_close(shown[index, robot], torch.tensor(expected), **CLOSE)
+        actions = [case.actions[step] for case in drawn]
+        tensordict[keys.ACTION] = torch.tensor(actions)
+        tensordict = step_mdp(env.step(tensordict))
+        for index, world in enumerate(worlds):
+            if playing[index]:
+                outcome = world.step(actions[index])
+                playing[index] = not (outcome.terminated or outcome.truncated)
