@@ -14,6 +14,7 @@ DISTANCE_RANK = (AGENTS, "distance_rank")  # *B n n int64, 0 itself, 1 the neare
 
 ACTION = (AGENTS, "action")  # *B n int64: 0 up, 1 right, 2 down, 3 left
 ACTION_MASK = (AGENTS, "action_mask")  # *B n 4 bool: true where an action may be chosen
+DEMONSTRATION = (AGENTS, "demonstration")  # *B n int64: what a planner does; -1: not asked
 ACTION_VALUE = (AGENTS, "action_value")  # *B n 4 float32
 LOGITS = (AGENTS, "logits")  # *B n 4 float32, of a policy that draws its actions
 LOG_PROB = (AGENTS, "action_log_prob")  # *B n float32: of the action drawn

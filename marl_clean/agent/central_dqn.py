@@ -2,6 +2,7 @@
 
 from typing import final
 
+import torch
 from jaxtyping import Float, Int
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
@@ -119,6 +120,21 @@ class CentralDqn(DeepQ):
 
     def exploration(self, action_spec: Composite) -> TensorDictSequential:
         """Return the epsilon-greedy policy: a random action is a random joint action."""
+        return self._acting(action_spec)
+
+    def demonstrated_by(
+        self, planner: TensorDictModuleBase, action_spec: Composite
+    ) -> TensorDictSequential:
+        encode = TensorDictModule(
+            lambda action: encode_joint(action, self.num_actions),
+            in_keys=[keys.ACTION],
+            out_keys=[keys.JOINT_ACTION],
+        )
+        return self._acting(action_spec, planner, encode)
+
+    def _acting(
+        self, action_spec: Composite, *instead: TensorDictModuleBase
+    ) -> TensorDictSequential:
         joint = Categorical(self.num_actions**self.n_agents, shape=action_spec.shape)
         spec = Composite({keys.JOINT_ACTION: joint}, shape=action_spec.shape)
         mask = keys.JOINT_ACTION_MASK if self.mask_walls else None
@@ -128,7 +144,8 @@ class CentralDqn(DeepQ):
             in_keys=[keys.JOINT_ACTION],
             out_keys=[keys.ACTION],
         )
-        return TensorDictSequential(self.make_greedy(records_messages=False).eval(), coin, decode)
+        greedy = self.make_greedy(records_messages=False).eval()
+        return TensorDictSequential(greedy, *instead, coin, decode)
 
     def values(
         self, network: JointQNetwork, frames: TensorDictBase
@@ -138,6 +155,11 @@ class CentralDqn(DeepQ):
 
     def action(self, frames: TensorDictBase) -> Int[Tensor, "*batch"]:
         return encode_joint(frames[keys.ACTION], self.num_actions)
+
+    def shown(self, frames: TensorDictBase) -> Int[Tensor, "*batch"]:
+        planned = frames[keys.DEMONSTRATION]
+        joint = encode_joint(planned.clamp(min=0), self.num_actions)
+        return torch.where((planned >= 0).all(-1), joint, -1)
 
     def reward(self, frames: TensorDictBase) -> Float[Tensor, "*batch 1"]:
         return acting.team_reward(frames)

@@ -6,7 +6,7 @@ from typing import Any, Literal, final
 import torch
 from jaxtyping import Float
 from tensordict import NestedKey, TensorDictBase
-from tensordict.nn import TensorDictSequential
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
@@ -18,7 +18,7 @@ from marl_clean.encoder.base import Encoder
 from marl_clean.learning import acting
 from marl_clean.learning.acting import Greedy, entries
 from marl_clean.learning.agent import Agent, Channels, Count
-from marl_clean.learning.losses import DISTANCES
+from marl_clean.learning.losses import DISTANCES, margin_loss
 from marl_clean.learning.networks import NUM_ACTIONS, QNetwork, noisy_parts, set_noise
 from marl_clean.learning.schedules import Discount, Epsilon, linear, set_step_size
 from marl_clean.settings import PositiveFloat, Precision, Probability, RisesWith
@@ -114,16 +114,27 @@ class Pqn(Agent):
     def _seen_again(self) -> Sequence[NestedKey]:
         """What is taken of each frame in every epoch."""
         begins = (keys.IS_INIT,) if self.unrolls else ()
-        return (*self.network.sees, keys.ACTION, *begins)
+        return (*self.network.sees, keys.ACTION, *begins, *self.shows)
 
     def policy(self) -> Greedy:
         return Greedy(self.network, self.n_agents, records_messages=True).eval()
 
     def exploration(self, action_spec: Composite) -> TensorDictSequential:
         """Return the epsilon-greedy policy; each robot draws for itself."""
+        return self._acting(action_spec)
+
+    def demonstrated_by(
+        self, planner: TensorDictModuleBase, action_spec: Composite
+    ) -> TensorDictSequential:
+        return self._acting(action_spec, planner)
+
+    def _acting(
+        self, action_spec: Composite, *instead: TensorDictModuleBase
+    ) -> TensorDictSequential:
         greedy = Greedy(self.network, self.n_agents, records_messages=False).eval()
         mask = keys.ACTION_MASK if self.network.mask_walls else None
-        return TensorDictSequential(greedy, self.exploring.coin(action_spec, keys.ACTION, mask))
+        coin = self.exploring.coin(action_spec, keys.ACTION, mask)
+        return TensorDictSequential(greedy, *instead, coin)
 
     def measures(self) -> dict[str, float]:
         return {"epsilon": self.exploring.now, **self.moving_gamma(self.discount)}
@@ -171,7 +182,9 @@ class Pqn(Agent):
     def loss(self, frames: TensorDictBase) -> Float[Tensor, ""]:
         """Return how far the values of the actions taken are from their returns.
 
-        loss = Huber(Q(o_t, a_t) - G_t), mean over frames and robots
+            loss = Huber(Q(o_t, a_t) - G_t), mean over frames and robots
+
+        Where a planner acted, what prefers its actions by a margin is added.
         """
         seen = entries(self.network, frames)
         if self.unrolls:
@@ -179,7 +192,8 @@ class Pqn(Agent):
         else:
             values = self.network(seen).out
         value = values.gather(-1, frames[keys.ACTION].unsqueeze(-1))
-        return self.distance(value, frames[keys.VALUE_TARGET])
+        loss = self.distance(value, frames[keys.VALUE_TARGET])
+        return loss + margin_loss(values, frames[keys.DEMONSTRATION]) if self.demonstrated else loss
 
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Take one step of RAdam on a minibatch: frames, or rows `[env, time]` if it unrolls."""

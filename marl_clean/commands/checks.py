@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 from marl_clean.config.class_source import constant
 from marl_clean.config.compose import has_houses
 from marl_clean.config.fitting import check_fit
-from marl_clean.config.levels import level_of
+from marl_clean.config.levels import level_of, rooms
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import RUNS, check_same_run, find_run, load_config
 from marl_clean.encoder._convolved import check_strides, fewest_weights, side_after
@@ -99,6 +99,21 @@ def check_old_houses(config: DictConfig) -> None:
         check_house(old)
     except BadInput as error:
         raise BadInput(f"checkpoint={config.checkpoint}: its houses: {error}") from None
+
+
+def check_imitate(config: DictConfig) -> None:
+    """Raises BadInput where who is to be imitated is no planner, or has no houses to plan for."""
+    name = config.trainer.get("imitate")
+    if name is None:
+        return
+    planners = rooms()["planner"]
+    if name not in planners:
+        valid = ", ".join([*planners, "null"])
+        raise BadInput(f"trainer.imitate={name}: is no planner; valid: {valid}")
+    if not has_houses(config):
+        raise BadInput(
+            f"trainer.imitate={name}: planners need houses, which env has none of; valid: null"
+        )
 
 
 def check_optimum(config: DictConfig) -> None:
@@ -196,5 +211,13 @@ def check_all(config: DictConfig, training: bool = False, here: bool = True) -> 
 
 
 CHECKS = [check_optimum, check_house]
-OF_TRAINING = [check_fit, check_sizes, check_plans, check_teams, check_old_houses, check_run_folder]
+OF_TRAINING = [
+    check_fit,
+    check_sizes,
+    check_imitate,
+    check_plans,
+    check_teams,
+    check_old_houses,
+    check_run_folder,
+]
 OF_THE_MACHINE = [check_compile, check_device]

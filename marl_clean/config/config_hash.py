@@ -15,6 +15,8 @@ LATER: dict[str, Any] = {
     "env.wall_pays": 2.0,
     "env.shaping": 0.0,
     "agent.mask_walls": False,
+    "trainer.imitate": None,
+    "trainer.imitate_frames_share": 0.1,
     "agent.gamma_end": None,
     "agent.gamma_rises_with": "progress",
     "agent.entropy_coeff_end": None,

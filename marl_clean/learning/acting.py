@@ -118,6 +118,27 @@ def team_reward(frames: TensorDictBase) -> Float[Tensor, "*batch 1"]:
     return frames["next", keys.REWARD][..., 0, :]
 
 
+class Logits(TensorDictModuleBase):
+    """Every robot's logits, and while it acts what the network carries."""
+
+    def __init__(self, network: RobotsNetwork, acting: bool) -> None:
+        super().__init__()
+        self.network, self.acting = network, acting
+        self.in_keys = list(network.sees)
+        carried = [("next", key) for key in network.carries] if acting else []
+        self.out_keys = [keys.LOGITS, *carried]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        seen = entries(self.network, tensordict)
+        if not self.acting and self.network.unrolls:
+            logits = self.network.unroll(tensordict.get(keys.IS_INIT), seen)
+        else:
+            logits, _, carried = self.network(seen)
+            if self.acting:
+                record_carried(tensordict, carried)
+        return tensordict.set(keys.LOGITS, logits)
+
+
 class Greedy(TensorDictModuleBase):
     """Every robot's best action, by values or by logits: what TorchRL calls a Q-value actor.
 

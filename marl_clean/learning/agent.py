@@ -10,7 +10,9 @@ from torch import Tensor, nn
 from torchrl.data import Composite
 from torchrl.envs import Transform
 
+from marl_clean import keys
 from marl_clean.channel.base import Channel
+from marl_clean.errors import BadInput
 from marl_clean.learning.schedules import Discount
 
 Count = int
@@ -26,16 +28,23 @@ class Agent(ABC):
         network: the module whose weights are kept, shared by both policies.
         gamma: discount of a step, the present one.
         n_steps: rewards summed before bootstrapping.
+        demonstrated: frames hold what a planner does, and it is learnt from it.
     """
 
     network: nn.Module
     gamma: float
     n_steps: int = 1
+    demonstrated: bool = False
 
     @property
     @abstractmethod
     def learns_from(self) -> Sequence[NestedKey]:
         """Keys of a frame that learning needs; under "next", of the frame after."""
+
+    @property
+    def shows(self) -> Sequence[NestedKey]:
+        """The key under which frames hold what a planner does, if they do."""
+        return (keys.DEMONSTRATION,) if self.demonstrated else ()
 
     @property
     def history(self) -> int:
@@ -62,6 +71,22 @@ class Agent(ABC):
     @abstractmethod
     def exploration(self, action_spec: Composite) -> TensorDictModuleBase:
         """Return the policy that collects experience; `action_spec` is the env's, all keys."""
+
+    def demonstrated_by(
+        self, planner: TensorDictModuleBase, action_spec: Composite
+    ) -> TensorDictModuleBase:
+        """Return the policy by which a planner collects experience, explored around as usual.
+
+        `planner` writes the actions, and writes them under `demonstration` too; what the network
+        carries, and says of a frame, is recorded as in `exploration`. With `demonstrated` the keys
+        of `learns_from` hold the demonstration, -1 where no planner acts, and `update` learns it.
+
+        Raises:
+            BadInput: the learner cannot learn from a planner.
+        """
+        raise BadInput(
+            f"trainer.imitate: {type(self).__name__} does not learn from planners; valid: null"
+        )
 
     def measures(self) -> dict[str, float]:
         """Return numbers of the present exploration, for the log."""

@@ -19,7 +19,7 @@ from marl_clean.encoder.base import Encoder
 from marl_clean.errors import BadInput
 from marl_clean.learning import acting, symmetry
 from marl_clean.learning.agent import Agent, Channels, Count
-from marl_clean.learning.losses import DISTANCES
+from marl_clean.learning.losses import DISTANCES, margin_loss
 from marl_clean.learning.networks import NUM_ACTIONS, noisy_parts, set_noise
 from marl_clean.learning.schedules import Discount, Epsilon, linear, set_step_size
 from marl_clean.settings import (
@@ -47,8 +47,7 @@ class DeepQ(Agent):
         encoder, comm, channels: the network's parts; their weights are learnt in place.
         double, dueling: see above and `marl_clean.learning.networks`.
         n_steps: rewards summed before bootstrapping.
-        gamma, gamma_end, gamma_rises_with: discount of a step, see `Discount`; without an end it
-            stays.
+        gamma, gamma_end, gamma_rises_with: discount of a step, see `Discount`.
         lr, lr_end: Adam's step size, falling linearly over the run; late steps smaller, so that
             the greedy policy swings less from one evaluation to the next.
         loss: `smooth_l1` (Huber), `l2` or `l1`.
@@ -58,8 +57,7 @@ class DeepQ(Agent):
         eps_init, eps_end, annealing_fraction: the share of random actions falls linearly from
             the one to the other over this fraction of the frames, and stays.
         precision: the encoder's arithmetic; bfloat16 is faster.
-        mask_walls: no action into a cell known to be blocked is considered, in acting, in exploring
-            and in targets.
+        mask_walls: no action into a cell known to be blocked is considered, in targets neither.
         augment: learn from each frame rotated or mirrored, alike for all its robots.
         messages: in learning, made anew by the present weights, or those that were sent; of the
             next frame they are always made anew.
@@ -133,7 +131,14 @@ class DeepQ(Agent):
         later = (*self.sees, keys.REWARD, keys.DONE, keys.TERMINATED)
         begins = (keys.IS_INIT,) if self.unrolls else ()
         sent = (keys.MESSAGE,) if self.messages == "replayed" else ()
-        return (*self.sees, keys.ACTION, *begins, *sent, *(("next", key) for key in later))
+        return (
+            *self.sees,
+            keys.ACTION,
+            *begins,
+            *sent,
+            *self.shows,
+            *(("next", key) for key in later),
+        )
 
     @property
     @abstractmethod
@@ -173,6 +178,10 @@ class DeepQ(Agent):
         """Return which actions were taken, as `values` numbers them."""
         return frames[keys.ACTION]
 
+    def shown(self, frames: TensorDictBase) -> Int[Tensor, "*batch"]:
+        """Return what a planner does, numbered likewise; -1: it was not asked."""
+        return frames[keys.DEMONSTRATION]
+
     def value_of(
         self,
         modules: nn.ModuleDict,
@@ -193,11 +202,12 @@ class DeepQ(Agent):
             y = r + gamma^k (1 - terminated) Q'(o', a'),    a' = argmax over a of Q(o', a)
             loss = Huber(Q(o, a) - y), mean over the batch
 
-        Without `double`, a' is the best by Q' itself. With a mixer, Q and Q' are the team's.
+        Without `double`, a' is the best by Q' itself. With a mixer, Q and Q' are the team's. Beside
+        it the actions of a planner that acted are preferred by a margin, see `margin_loss`.
         """
         then, reward = frames["next"], self.reward(frames)
-        value = self.values(self.learnt["network"], frames)
-        value = self.value_of(self.learnt, value, self.action(frames), frames)
+        values = self.values(self.learnt["network"], frames)
+        value = self.value_of(self.learnt, values, self.action(frames), frames)
         with torch.no_grad():
             choosing = self.values(self.learnt["network"], then) if self.double else None
             later = self.values(self.target["network"], then)
@@ -207,7 +217,8 @@ class DeepQ(Agent):
             terminated = expand_as_right(then[keys.TERMINATED].squeeze(-1), reward)
             discount = torch.as_tensor(self.gamma) ** steps
             target = reward + discount * (~terminated).int() * later
-        return self.distance(value, target, reduction="none").mean()
+        loss = self.distance(value, target, reduction="none").mean()
+        return loss + margin_loss(values, self.shown(frames)) if self.demonstrated else loss
 
     def policy(self) -> TensorDictModuleBase:
         return self.make_greedy(records_messages=True).eval()
@@ -246,14 +257,7 @@ class DeepQ(Agent):
         """Return the batch as the loss wants it; rotated and mirrored if augmented."""
         frames = batch.select(*self.learns_from, keys.STEPS_TO_NEXT_OBS)
         if self.augment:
-            now, then = frames[keys.OBSERVATION], frames["next", keys.OBSERVATION]
-            (now, then), action = symmetry.rotate_in_eighths([now, then], frames[keys.ACTION])
-            frames[keys.OBSERVATION], frames["next", keys.OBSERVATION] = now, then
-            if self.mask_walls:
-                masks = [frames[keys.ACTION_MASK], frames["next", keys.ACTION_MASK]]
-                now, then = symmetry.rotate_masks_in_eighths(masks)
-                frames[keys.ACTION_MASK], frames["next", keys.ACTION_MASK] = now, then
-            frames[keys.ACTION] = action
+            symmetry.rotate_frames_(frames)
         if self.mask_walls:
             acting.allow_taken_(frames)
         if self.next_graph == "reused":

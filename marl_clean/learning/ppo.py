@@ -4,11 +4,12 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, Literal
 
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import (
     ProbabilisticTensorDictModule,
     ProbabilisticTensorDictSequential,
     TensorDictModuleBase,
+    TensorDictSequential,
 )
 from torch import Tensor, nn
 from torch.distributions import Categorical
@@ -21,9 +22,10 @@ from marl_clean import keys
 from marl_clean.comm.base import Comm
 from marl_clean.encoder.base import Encoder
 from marl_clean.learning import acting
-from marl_clean.learning.acting import Greedy, entries, record_carried
+from marl_clean.learning.acting import Greedy, Logits
 from marl_clean.learning.agent import Agent, Channels, Count
 from marl_clean.learning.critic import Critic, Knows, Values
+from marl_clean.learning.losses import cross_entropy
 from marl_clean.learning.networks import NUM_ACTIONS, RobotsNetwork, noisy_parts, set_noise
 from marl_clean.learning.schedules import Discount, linear, set_step_size
 from marl_clean.settings import (
@@ -40,25 +42,7 @@ from marl_clean.settings import (
 DONE, TERMINATED = (keys.AGENTS, keys.DONE), (keys.AGENTS, keys.TERMINATED)
 
 
-class Logits(TensorDictModuleBase):
-    """Every robot's logits, and while it acts what the network carries."""
-
-    def __init__(self, network: RobotsNetwork, acting: bool) -> None:
-        super().__init__()
-        self.network, self.acting = network, acting
-        self.in_keys = list(network.sees)
-        carried = [("next", key) for key in network.carries] if acting else []
-        self.out_keys = [keys.LOGITS, *carried]
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        seen = entries(self.network, tensordict)
-        if not self.acting and self.network.unrolls:
-            logits = self.network.unroll(tensordict.get(keys.IS_INIT), seen)
-        else:
-            logits, _, carried = self.network(seen)
-            if self.acting:
-                record_carried(tensordict, carried)
-        return tensordict.set(keys.LOGITS, logits)
+MEASURED = ("loss_critic", "entropy", "kl_approx", "clip_fraction", "imitation")
 
 
 class Ppo(Agent):
@@ -201,7 +185,7 @@ class Ppo(Agent):
         later = (*self.critic.sees, keys.REWARD, keys.DONE, keys.TERMINATED)
         begins = (keys.IS_INIT,) if self.unrolls else ()
         of_critic = (key for key in self.critic.sees if key not in self.network.sees)
-        now = (*self.network.sees, *of_critic, keys.ACTION, keys.LOG_PROB, *begins)
+        now = (*self.network.sees, *of_critic, keys.ACTION, keys.LOG_PROB, *begins, *self.shows)
         return (*now, *(("next", key) for key in later))
 
     def policy(self) -> Greedy:
@@ -210,6 +194,12 @@ class Ppo(Agent):
     def exploration(self, action_spec: Composite) -> TensorDictModuleBase:
         """Return the policy that draws; it draws under TorchRL's `ExplorationType.RANDOM`."""
         return self._drawing(acting=True)
+
+    def demonstrated_by(
+        self, planner: TensorDictModuleBase, action_spec: Composite
+    ) -> TensorDictModuleBase:
+        """Return the policy by which a planner acts; its actions are not explored around."""
+        return TensorDictSequential(self._drawing(acting=True), planner)
 
     def measures(self) -> dict[str, float]:
         return self.moving_gamma(self.discount)
@@ -223,8 +213,13 @@ class Ppo(Agent):
         self._loss.entropy_coeff.fill_(entropy)
 
     def estimate(self, block: TensorDictBase) -> TensorDictBase:
-        """Return what is learnt from a block `[env, time]`: advantages and returns added."""
+        """Return what is learnt from a block `[env, time]`: advantages and returns added.
+
+        What a planner does is kept of a block in which it acted alone.
+        """
         frames = block.select(*self.learns_from)
+        if self.demonstrated and not (frames[keys.DEMONSTRATION] >= 0).any():
+            frames = frames.exclude(keys.DEMONSTRATION)
         acting.give_robots_endings(frames)
         if self.network.mask_walls:
             acting.allow_taken_(frames)
@@ -258,17 +253,29 @@ class Ppo(Agent):
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Take one step of Adam on a minibatch: frames, or rows `[env, time]` if it unrolls."""
         set_noise(self._noisy, True)
-        losses = self._loss(batch)
+        shown = keys.DEMONSTRATION in batch.keys(True)
+        losses = self.imitation(batch) if shown else self._loss(batch)
         loss = losses["loss_objective"] + losses["loss_entropy"] + losses["loss_critic"]
         self._optimiser.zero_grad()
         loss.backward()
         grad_norm = nn.utils.clip_grad_norm_(self._parameters, self.max_grad_norm)
         self._optimiser.step()
         set_noise(self._noisy, False)
-        names = ("entropy", "kl_approx", "clip_fraction")
-        measures = {name: losses[name].detach() for name in names}
-        critic = losses["loss_critic"].detach()
-        return {"loss": loss.detach(), "loss_critic": critic, "grad_norm": grad_norm, **measures}
+        measures = {name: losses[name].detach() for name in MEASURED if name in losses.keys()}
+        return {"loss": loss.detach(), "grad_norm": grad_norm, **measures}
+
+    def imitation(self, batch: TensorDictBase) -> TensorDictBase:
+        """Return the losses where a planner acted: its actions are learnt, and their returns.
+
+        -log pi(a_planner | o) + critic_coeff (V - return)^2 or Huber
+        """
+        logits = Logits(self.network, acting=False)(batch.copy())[keys.LOGITS]
+        critic, *_ = self._loss.loss_critic(batch.copy())
+        shown = cross_entropy(logits, batch[keys.DEMONSTRATION])
+        nothing = torch.zeros_like(shown)
+        return TensorDict(
+            loss_objective=shown, loss_entropy=nothing, loss_critic=critic.mean(), imitation=shown
+        )
 
     def state_dict(self) -> dict[str, Any]:
         """Return the weights of policy and critic, and Adam's moments."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import torch
 from jaxtyping import Float
 from tensordict import NestedKey, TensorDictBase
-from tensordict.nn import TensorDictSequential
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
 from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
@@ -59,9 +59,20 @@ class RobotsQ(DeepQ):
 
     def exploration(self, action_spec: Composite) -> TensorDictSequential:
         """Return the epsilon-greedy policy; each robot draws for itself."""
+        return self._acting(action_spec)
+
+    def demonstrated_by(
+        self, planner: TensorDictModuleBase, action_spec: Composite
+    ) -> TensorDictSequential:
+        return self._acting(action_spec, planner)
+
+    def _acting(
+        self, action_spec: Composite, *instead: TensorDictModuleBase
+    ) -> TensorDictSequential:
         greedy = self.make_greedy(records_messages=self.messages == "replayed").eval()
         mask = keys.ACTION_MASK if self.mask_walls else None
-        return TensorDictSequential(greedy, self.exploring.coin(action_spec, keys.ACTION, mask))
+        coin = self.exploring.coin(action_spec, keys.ACTION, mask)
+        return TensorDictSequential(greedy, *instead, coin)
 
     def values(
         self, network: RobotsNetwork, frames: TensorDictBase

@@ -48,15 +48,15 @@ class Epsilon:
 
     def __init__(self, eps_init: float, eps_end: float, annealing_fraction: float) -> None:
         self.eps_init, self.eps_end, self.fraction = eps_init, eps_end, annealing_fraction
-        self._coin: EGreedyModule | None = None
+        self._coins: list[EGreedyModule] = []
         self.anneal(0.0)
 
     def anneal(self, progress: float) -> None:
         """Set the share for a run of which `progress`, from 0 to 1, is done."""
         share = progress / self.fraction if self.fraction else 1.0
         self.now = linear(self.eps_init, self.eps_end, share)
-        if self._coin is not None:  # its own step() loops over frames in Python
-            self._coin.eps.fill_(self.now)
+        for coin in self._coins:  # their own step() loops over frames in Python
+            coin.eps.fill_(self.now)
 
     def coin(
         self, action_spec: Composite, action_key: NestedKey, mask_key: NestedKey | None = None
@@ -66,11 +66,12 @@ class Epsilon:
         It explores only under TorchRL's `ExplorationType.RANDOM`, as a Collector sets it. With
         `mask_key` it draws among the actions that a frame's mask there allows.
         """
-        self._coin = EGreedyModule(
+        coin = EGreedyModule(
             action_spec.clone(),  # it writes masks into it
             action_key=action_key,
             action_mask_key=mask_key,
             device=action_spec.device,
         )
-        self._coin.eps.fill_(self.now)
-        return self._coin
+        coin.eps.fill_(self.now)
+        self._coins.append(coin)
+        return coin

@@ -7,7 +7,10 @@ counterclockwise.
 
 import torch
 from jaxtyping import Bool, Float, Int
+from tensordict import TensorDictBase
 from torch import Tensor
+
+from marl_clean import keys
 
 NUM_SYMMETRIES = 8
 MIRRORED = (0, 3, 2, 1)
@@ -62,6 +65,23 @@ def rotate_masks_in_eighths(
         for mask, rotated in zip(masks, rotated_masks, strict=True):
             rotated[part, ..., order] = mask[part]
     return rotated_masks
+
+
+def rotate_frames_(frames: TensorDictBase) -> None:
+    """Rotate the eighths of a batch of frames in place: all that has a direction in it."""
+    squares = [frames[keys.OBSERVATION], frames["next", keys.OBSERVATION]]
+    (now, then), action = rotate_in_eighths(squares, frames[keys.ACTION])
+    frames[keys.OBSERVATION], frames["next", keys.OBSERVATION] = now, then
+    held = frames.keys(True)
+    if keys.ACTION_MASK in held:
+        masks = [frames[keys.ACTION_MASK], frames["next", keys.ACTION_MASK]]
+        now, then = rotate_masks_in_eighths(masks)
+        frames[keys.ACTION_MASK], frames["next", keys.ACTION_MASK] = now, then
+    if keys.DEMONSTRATION in held:
+        planned = frames[keys.DEMONSTRATION]
+        _, rotated = rotate_in_eighths([], planned.clamp(min=0))
+        frames[keys.DEMONSTRATION] = torch.where(planned >= 0, rotated, -1)
+    frames[keys.ACTION] = action
 
 
 def _eighths(length: int) -> list[slice]:

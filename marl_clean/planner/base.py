@@ -1,7 +1,7 @@
 """What planners share: they read the robots' map, never the house."""
 
 from abc import abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import torch
@@ -26,6 +26,9 @@ from marl_clean.world.state import State
 Grid = Bool[Tensor, "env map height width"]
 Distance = Int[Tensor, "env map height width"]
 Tier = tuple[Grid, Grid]  # (passable, targets) of one search; tiers are searched in order
+
+
+TRACKED = ("episode", "position", "heading")  # of a `Track`
 
 
 class Known(NamedTuple):
@@ -61,6 +64,15 @@ class Planner(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         tensordict.set(keys.ACTION, self.act())
         return tensordict
+
+    def memory(self) -> dict[str, Tensor]:
+        """Return what it remembers of the present episodes, to go on from by `restore`."""
+        return {name: getattr(self.track, name).clone() for name in TRACKED}
+
+    def restore(self, memory: Mapping[str, Tensor]) -> None:
+        """Go on from a `memory` of a planner for as many robots in as many worlds."""
+        for name in TRACKED:
+            setattr(self.track, name, memory[name].to(self.env.device))
 
     @abstractmethod
     def act(self) -> Int[Tensor, "env agent"]:

@@ -1,5 +1,6 @@
 """`planner=smart_dfs`: the online tour whose length has a proven bound."""
 
+from collections.abc import Mapping
 from typing import final
 
 import torch
@@ -55,6 +56,15 @@ class SmartDFS(Sweep):
         self.entered = torch.zeros(shape, dtype=torch.int32, device=env.device)  # step + 1
         self.direction = torch.zeros(shape, dtype=torch.int64, device=env.device)  # on entering
         return self
+
+    def memory(self) -> dict[str, Tensor]:
+        entered, direction = self.entered.clone(), self.direction.clone()
+        return {**super().memory(), "entered": entered, "direction": direction}
+
+    def restore(self, memory: Mapping[str, Tensor]) -> None:
+        super().restore(memory)
+        self.entered = memory["entered"].to(self.env.device)
+        self.direction = memory["direction"].to(self.env.device)
 
     def act(self) -> Int[Tensor, "env agent"]:
         at_start = self.track.follow(self.env.state)

@@ -29,6 +29,7 @@ from marl_clean.trainer._random import random_state, restore_random
 from marl_clean.trainer._selection import Best
 from marl_clean.trainer._successes import Successes
 from marl_clean.trainer._tally import Diverged, Tally
+from marl_clean.trainer._warm_start import WarmStart
 
 Evaluate = Callable[[TensorDictModuleBase], Mapping[str, float]]
 log = logging.getLogger(__name__)
@@ -51,6 +52,8 @@ class Trainer(ABC):
     checkpoint_interval_frames: int
     select_by: str
     curriculum: tuple[int, float, int]
+    imitate: str | None = None
+    imitate_frames_share: float = 0.0
 
     @abstractmethod
     def begin(
@@ -138,9 +141,11 @@ class TrainingLoop(ABC):
         self.evaluate, self.loggers, self.checkpoints = evaluate, loggers, checkpoints
         self.curriculum = Curriculum(*settings.curriculum)
         self.curriculum.open_houses(env.base_env)
+        shown = settings.imitate_frames_share * settings.total_frames
+        self.warm_start = WarmStart(agent, env, settings.imitate, shown)
         self.collector = CarriedCollector(
             env,
-            agent.exploration(env.full_action_spec),
+            self.warm_start.policy,
             frames_per_batch=settings.frames_per_batch,
             total_frames=-1,
             exploration_type=ExplorationType.RANDOM,
@@ -156,6 +161,7 @@ class TrainingLoop(ABC):
 
     def collect(self) -> TensorDictBase:
         """Collect a block of frames `[env, time]` with exploration, and count what came of it."""
+        self.warm_start.at(self.frames)
         block = next(self.blocks)
         self.frames += block.numel()
         later = block["next"]
@@ -251,6 +257,7 @@ class TrainingLoop(ABC):
             **self.own_state(),
             "tally": self.tally.state(),
             "curriculum": self.curriculum.state(),
+            "warm_start": self.warm_start.state(),
             "successes": {"share": self.successes.share},
             "random": random_state(self.env.device),
         }
@@ -276,6 +283,7 @@ class TrainingLoop(ABC):
         self.env.base_env.load_state_dict(state["env"])
         if self.env.base_env.resumes_exactly:
             self.collector.restore(state["carried"].to(device))
+            self.warm_start.restore(state.get("warm_start", {}))
         else:
             log.warning("frame %d: resumes with new episodes; env cannot save its own", self.frames)
             self.collector.begin_anew()

@@ -44,6 +44,8 @@ class OffPolicy(Trainer):
             starts from what was carried when it was collected, and gradients cross the others.
         select_by: the measure on validation houses by which the best weights are chosen.
         curriculum_stages, curriculum_promote_at, curriculum_window_episodes: see `Curriculum`.
+        imitate, imitate_frames_share: a planner that acts, and is learnt from, for this share of
+            the frames at the start; null: none.
     """
 
     def __init__(
@@ -61,6 +63,8 @@ class OffPolicy(Trainer):
         curriculum_stages: PositiveInt = 1,
         curriculum_promote_at: Probability = 0.9,
         curriculum_window_episodes: PositiveInt = 500,
+        imitate: str | None = None,
+        imitate_frames_share: Probability = 0.1,
         window_frames: PositiveInt = 8,
     ) -> None:
         self.total_frames = total_frames
@@ -75,6 +79,7 @@ class OffPolicy(Trainer):
         self.select_by = select_by
         self.window_frames = window_frames
         self.curriculum = curriculum_stages, curriculum_promote_at, curriculum_window_episodes
+        self.imitate, self.imitate_frames_share = imitate, imitate_frames_share
 
     def longest_row(self, env: EnvBase) -> tuple[str, int]:
         return "window_frames", self.window_frames

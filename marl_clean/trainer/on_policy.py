@@ -32,6 +32,8 @@ class OnPolicy(Trainer):
         log_interval_frames, eval_interval_frames, checkpoint_interval_frames: how often.
         select_by: the measure on validation houses by which the best weights are chosen.
         curriculum_stages, curriculum_promote_at, curriculum_window_episodes: see `Curriculum`.
+        imitate, imitate_frames_share: a planner that acts, and is learnt from, for this share of
+            the frames at the start; null: none.
     """
 
     def __init__(
@@ -47,6 +49,8 @@ class OnPolicy(Trainer):
         curriculum_stages: PositiveInt = 1,
         curriculum_promote_at: Probability = 0.9,
         curriculum_window_episodes: PositiveInt = 500,
+        imitate: str | None = None,
+        imitate_frames_share: Probability = 0.1,
     ) -> None:
         self.total_frames = total_frames
         self.frames_per_batch = frames_per_batch
@@ -57,6 +61,7 @@ class OnPolicy(Trainer):
         self.checkpoint_interval_frames = checkpoint_interval_frames
         self.select_by = select_by
         self.curriculum = curriculum_stages, curriculum_promote_at, curriculum_window_episodes
+        self.imitate, self.imitate_frames_share = imitate, imitate_frames_share
 
     def longest_row(self, env: EnvBase) -> tuple[str, int]:
         return "frames_per_batch", self.frames_per_batch // env.batch_size.numel()
