@@ -29,16 +29,18 @@ def groups() -> dict[str, list[str]]:
     A file whose name begins with `_` is no level: it holds what several of them share.
     """
     folders = [folder for folder in sorted(conf_folder().iterdir()) if folder.is_dir()]
-    return {
-        folder.name: list(
-            dict.fromkeys(
-                path.stem
-                for package in packages()
-                for path in sorted((package.conf / folder.name).glob("[!_]*.yaml"))
-            )
+    return {folder.name: levels_in(folder.name) for folder in folders}
+
+
+def levels_in(group: str) -> list[str]:
+    """The levels of one room, or the presets of one group: this package's come first."""
+    return list(
+        dict.fromkeys(
+            path.stem
+            for package in packages()
+            for path in sorted((package.conf / group).glob("[!_]*.yaml"))
         )
-        for folder in folders
-    }
+    )
 
 
 def level_file(group: str, level: str) -> Path:
@@ -60,7 +62,7 @@ def read_level(room: str, level: str) -> dict[str, Any]:
 def is_target(room: str, target: str) -> bool:
     """Whether `target` is the class of one of the room's levels."""
     likely = target.split(".")[-2:-1]
-    levels = sorted(rooms()[room], key=lambda level: [level] != likely)
+    levels = sorted(levels_in(room), key=lambda level: [level] != likely)
     return any(read_level(room, level).get("_target_") == target for level in levels)
 
 

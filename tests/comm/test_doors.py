@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torchrl.envs import TransformedEnv
 
 from marl_clean.channel.delayed import Delayed
 from marl_clean.learning.agent import Agent
@@ -17,23 +18,26 @@ from tests.comm.doors import doors_for, share_right
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread", "unchecked")]
 
-FRAMES = 8_192
+FRAMES = 6_144
+WORLDS = 128  # on policy: many worlds and few updates, whose cost is in their number
+# Off policy: worlds, steps between learning, frames an update, learning rate.
+QUICK = (64, 4, 128, 5e-3)
+CAREFUL = (16, 6, 64, 2e-3)  # for those that miss the door with one seed in three otherwise
 SILENT = ["none", "zeroed"]
 TALKING = [level for level, _ in LEVELS if level not in SILENT]
 
 
 @pytest.mark.parametrize("learner", ["vdn", "qmix"])
 def test_mixers_learn_to_talk_too(tmp_path, learner):
-    agent = make_learner(
-        learner, "plan", gamma=0.0, lr=2e-3, lr_end=2e-3, n_steps=1, annealing_fraction=0.6
-    )
-    train_off_policy(agent, tmp_path, hold=1)
+    pace = CAREFUL if learner == "qmix" else QUICK
+    agent = make_learner(learner, "plan", **of_off_policy(pace))
+    train_off_policy(agent, tmp_path, hold=1, pace=pace)
     assert share_right(agent, hold=1) > 0.95
 
 
 @pytest.mark.parametrize(("learner", "comm"), [("ippo", "plan"), ("mappo", "commnet")])
 def test_policies_that_draw_learn_to_talk_too(tmp_path, learner, comm):
-    agent = make_learner(learner, comm, gamma=0.0, lr=3e-3, lr_end=3e-3)
+    agent = make_learner(learner, comm, gamma=0.0, lr=5e-3, lr_end=5e-3)
     train_on_policy(agent, tmp_path, hold=1)
     assert share_right(agent, hold=1) > 0.95
 
@@ -45,60 +49,68 @@ def test_lambda_returns_of_the_last_block_teach_to_talk_too(tmp_path):
 
 
 def test_a_policy_that_draws_guesses_in_silence(tmp_path):
-    agent = make_learner("ippo", "none", gamma=0.0, lr=3e-3, lr_end=3e-3)
+    agent = make_learner("ippo", "none", gamma=0.0, lr=5e-3, lr_end=5e-3)
     train_on_policy(agent, tmp_path, hold=1)
     assert 0.4 <= share_right(agent, hold=1) <= 0.6
 
 
 def test_a_policy_that_draws_hears_late_messages(tmp_path):
     channels = {"delayed": Delayed(1, False, make("commnet", hidden=24).message_dims)}
-    agent = make_learner("ippo", "commnet", gamma=0.0, lr=3e-3, lr_end=3e-3, channels=channels)
+    agent = make_learner("ippo", "commnet", gamma=0.0, lr=5e-3, lr_end=5e-3, channels=channels)
     train_on_policy(agent, tmp_path, hold=2)
     assert share_right(agent, hold=2) > 0.95
 
 
 def right_after_training(folder: Path, comm: str, hold: int, **changes) -> float:
-    settings = {"gamma": 0.0, "lr": 2e-3, "lr_end": 2e-3, "n_steps": 1, "annealing_fraction": 0.6}
-    agent = make_agent(comm, **settings, **changes)
-    train_off_policy(agent, folder, hold)
+    pace = CAREFUL if comm == "dial" else QUICK
+    agent = make_agent(comm, **of_off_policy(pace), **changes)
+    train_off_policy(agent, folder, hold, pace)
     return share_right(agent, hold)
+
+
+def of_off_policy(pace: tuple[int, int, int, float]) -> dict[str, float]:
+    lr = pace[-1]
+    return {"gamma": 0.0, "lr": lr, "lr_end": lr, "n_steps": 1, "annealing_fraction": 0.6}
 
 
 def train_on_policy(agent: Agent, folder: Path, hold: int) -> None:
     trainer = OnPolicy(
-        total_frames=2 * FRAMES,
-        frames_per_batch=192,
+        total_frames=FRAMES,
+        frames_per_batch=3 * WORLDS,  # so that rows begin while a message is under way, too
         epochs=4,
-        minibatch_frames=48,
+        minibatch_frames=3 * WORLDS // 4,
         log_interval_frames=FRAMES,
         eval_interval_frames=FRAMES,
         checkpoint_interval_frames=FRAMES,
         select_by="return",
     )
-    run(trainer, agent, folder, hold)
+    run(trainer, agent, folder, doors_for(agent, hold, WORLDS))
 
 
-def run(trainer: Trainer, agent: Agent, folder: Path, hold: int) -> None:
+def run(trainer: Trainer, agent: Agent, folder: Path, env: TransformedEnv) -> None:
     torch.manual_seed(0)
-    guess = {"return": 0.0}
-    trainer.train(doors_for(agent, hold), agent, lambda policy: guess, [Csv(folder)], folder)
+    trainer.train(env, agent, lambda policy: {"return": 0.0}, [Csv(folder)], folder)
 
 
-def train_off_policy(agent: Agent, folder: Path, hold: int) -> None:
+def train_off_policy(
+    agent: Agent, folder: Path, hold: int, pace: tuple[int, int, int, float]
+) -> None:
+    worlds, steps, batch_frames, _ = pace
+    frames = FRAMES if pace is QUICK else 8_192
     trainer = OffPolicy(
-        total_frames=FRAMES,
-        frames_per_batch=96,
+        total_frames=frames,
+        frames_per_batch=worlds * steps,
         buffer_frames=5_000,
-        batch_frames=64,
+        batch_frames=batch_frames,
         replay_ratio=4.0,
         start_frames=300,
-        log_interval_frames=FRAMES,
-        eval_interval_frames=FRAMES,
-        checkpoint_interval_frames=FRAMES,
+        log_interval_frames=frames,
+        eval_interval_frames=frames,
+        checkpoint_interval_frames=frames,
         select_by="return",
         window_frames=4,
     )
-    run(trainer, agent, folder, hold)
+    run(trainer, agent, folder, doors_for(agent, hold, worlds))
 
 
 @pytest.mark.parametrize("comm", TALKING)

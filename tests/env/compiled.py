@@ -27,31 +27,33 @@ SMALL = [
 ]
 NOISE = ["env.bump_noise=0.3", "observation.position_noise=0.3"]
 LATER = ["env.shaping=0.5", "env.wall_pays=0.5", "env.decay_steps=null", "agent.mask_walls=true"]
-CASES = [[], ["observation=frontier", "env.memory=private", *NOISE, *LATER]]
-STEPS = [["env.memory=private"], ["env.sensor=touch4"]]  # of the maps alone
+CAPTURED = ["observation=frontier", "env.memory=private", *NOISE, *LATER]
+STEP = ["env.memory=private", "env.sensor=touch4"]  # of the maps alone
 SIZE = re.compile(r"empty_strided_\w+\(\(([\d, ]+)\)")
 
 
 def main() -> None:
     torch._dynamo.config.fail_on_recompile_limit_hit = True  # not silently uncompiled
-    for settings in [sys.argv[1:]] if sys.argv[1:] else CASES:
-        plain, compiled = (make(settings, how) for how in (False, True))
-        _, codes = run_and_get_code(play_beside, plain, compiled)
-        if not settings:  # some observations read whole maps, and make as large ones of it
-            check_maps_are_kept(compiled, codes)
-    if sys.argv[1:]:
+    settings = sys.argv[1:]
+    plain, compiled = make(settings), make([*settings, "env.compile=true"])
+    _, codes = run_and_get_code(play_beside, plain, compiled)
+    if settings:  # some observations read whole maps, and make as large ones of it
         return
-    for settings in STEPS:
-        env, action = make(settings, True), torch.zeros(WORLDS, 3, dtype=torch.int64)
-        _, codes = run_and_get_code(env.base_env.step_worlds, action)
-        check_maps_are_kept(env, codes)
+    check_maps_are_kept(compiled, codes)
+    # Graphs without machine code, which takes minutes of what is in all of these settings.
+    plain, captured = make(CAPTURED), make(CAPTURED)
+    captured.base_env.compile(backend="aot_eager", options=None)
+    play_beside(plain, captured)
+    env, action = make([*STEP, "env.compile=true"]), torch.zeros(WORLDS, 3, dtype=torch.int64)
+    _, codes = run_and_get_code(env.base_env.step_worlds, action)
+    check_maps_are_kept(env, codes)
     matrix, index = torch.zeros(WORLDS, 10, 10), torch.arange(5)
     _, codes = run_and_get_code(torch.compile(scatter), matrix, index)
     assert largest(codes) == matrix.numel(), "a map that is copied would not be noticed"
 
 
-def make(settings: list[str], compile_it: bool) -> TransformedWorlds:
-    return build.make_env(compose_config([*SMALL, *settings, f"env.compile={compile_it}"]))
+def make(settings: list[str]) -> TransformedWorlds:
+    return build.make_env(compose_config([*SMALL, *settings]))
 
 
 def play_beside(plain: TransformedWorlds, compiled: TransformedWorlds) -> None:
