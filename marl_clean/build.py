@@ -32,6 +32,9 @@ from marl_clean.settings import HouseOrder
 from marl_clean.storage.checkpoint import fit_weights, load_weights
 from marl_clean.storage.manifest import weights_sha256
 
+PLAYED_BY = ("mask_walls", "play")
+"""Settings of learners by which any weights play."""
+
 
 def training_houses(cfg: DictConfig) -> Houses:
     """Draw the distinct houses of training episodes, for a curriculum the smallest first."""
@@ -269,13 +272,14 @@ def start_from(agent: Agent, cfg: DictConfig) -> None:
     agent.start_from_network()
 
 
-def load_policy(folder: Path, channel: DictConfig | None = None) -> TensorDictModuleBase:
+def load_policy(folder: Path, wanted: DictConfig | None = None) -> TensorDictModuleBase:
     """Return the greedy policy of a run: the best weights on validation houses, else the last.
 
     It is on the CPU, wherever the run was trained.
 
-    `channel`: the section of another channel than the one that it was trained with. What that one
-    learnt about its own ways is then of no use; what the other would learn, it does not know.
+    `wanted`: the config that it is to be played by: over its channel, and with those settings of
+    its learner that change no network (`PLAYED_BY`). What the channel of the training learnt about
+    its own ways is of no use over another; what the other would learn, it does not know.
 
     Raises:
         BadInput: the run has no whole weights yet, or they do not fit its config.
@@ -283,8 +287,11 @@ def load_policy(folder: Path, channel: DictConfig | None = None) -> TensorDictMo
     cfg = checked(load_config(folder))
     cfg.device = "cpu"
     houses = held_out_houses(cfg, "validation", 1) if has_houses(cfg) else None
-    if channel is not None:
-        cfg.channel = channel
+    if wanted is not None:
+        cfg.channel = wanted.channel
+        for key in PLAYED_BY:
+            if key in cfg.agent and key in wanted.agent:
+                cfg.agent[key] = wanted.agent[key]
     agent = make_agent(cfg, make_env(cfg, houses, num_envs=1))
     fit_weights(agent.network, load_weights(folder).tree, folder)
     return agent.policy()

@@ -71,7 +71,7 @@ def measured(
     if cfg.checkpoint is None:
         add(measure_planner(cfg, on_progress))
         return entries
-    policy = build.load_policy(find_run(cfg.checkpoint), cfg.channel).to(cfg.device)
+    policy = build.load_policy(find_run(cfg.checkpoint), cfg).to(cfg.device)
     if interventions:
         talking(policy, cfg.name)
     beside = measure_beside_planners(cfg, policy, cfg.name, on_progress)

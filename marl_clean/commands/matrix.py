@@ -71,7 +71,7 @@ def main(
             entries = []
             for folder in trained.folders:
                 cfg = over(load_config(folder), section, houses)
-                policy = talking(build.load_policy(folder, cfg.channel).to(cfg.device), cfg.name)
+                policy = talking(build.load_policy(folder, cfg).to(cfg.device), cfg.name)
                 epsilon = cfg.evaluation.epsilon
                 title = f"{label} | {name}"
                 entries.append(measure(cfg, partial(in_any_env, policy), title, epsilon=epsilon))

@@ -95,7 +95,7 @@ def measure_all(cfg: DictConfig, folder: Path) -> list[Entry]:
     policies = {cfg.name: build.load_policy(folder).to(cfg.device)}
     if cfg.checkpoint is not None:
         run = find_run(cfg.checkpoint)
-        before = build.load_policy(run, cfg.channel).to(cfg.device)
+        before = build.load_policy(run, cfg).to(cfg.device)
         policies[f"{load_config(run)['name']} before"] = before
     entries = []
     for place, house_set in places(cfg):

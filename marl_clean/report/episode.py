@@ -20,7 +20,7 @@ def policy_of(cfg: DictConfig) -> PolicyFor:
     """The policy that a command is asked to show: `cfg.checkpoint`'s, else `cfg.planner`."""
     if cfg.checkpoint is None:
         return lambda env: build.make_planner(cfg, env)
-    policy = build.load_policy(find_run(cfg.checkpoint), cfg.channel).to(cfg.device)
+    policy = build.load_policy(find_run(cfg.checkpoint), cfg).to(cfg.device)
     return lambda env: policy
 
 

@@ -103,7 +103,7 @@ def _watched(cfg: DictConfig) -> tuple[list[Layer], TensorDictBase]:
     """The layers of a run's network, or of an untrained network, at the moment of figure 2."""
     env = first_held_out(cfg)
     if cfg.checkpoint is not None:
-        policy = build.load_policy(find_run(cfg.checkpoint), cfg.channel).to(cfg.device)
+        policy = build.load_policy(find_run(cfg.checkpoint), cfg).to(cfg.device)
     else:
         torch.manual_seed(cfg.seed)
         policy = build.make_agent(cfg, env).policy()

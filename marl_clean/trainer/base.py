@@ -15,11 +15,11 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
 from marl_clean import keys
-from marl_clean.env.transformed import TransformedWorlds
 from marl_clean.errors import BadInput
 from marl_clean.learning.agent import Agent
 from marl_clean.logger.base import CLOCK, Logger, Progress
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints
+from marl_clean.trainer._annealing import Annealing
 from marl_clean.trainer._collecting import CarriedCollector
 from marl_clean.trainer._curriculum import Curriculum
 from marl_clean.trainer._frames import check_frames
@@ -27,7 +27,6 @@ from marl_clean.trainer._interrupts import Interrupts, Stopped
 from marl_clean.trainer._outcome import Outcome
 from marl_clean.trainer._random import random_state, restore_random
 from marl_clean.trainer._selection import Best
-from marl_clean.trainer._successes import Successes
 from marl_clean.trainer._tally import Diverged, Tally
 from marl_clean.trainer._warm_start import WarmStart
 
@@ -153,7 +152,7 @@ class TrainingLoop(ABC):
             auto_register_policy_transforms=False,
         )
         self.blocks = iter(self.collector)
-        self.successes = Successes()
+        self.annealing = Annealing()
         self.tally = Tally()
         self.frames = self.updates = 0
         self.logged = self.evaluated = self.saved = 0  # frames at the last time
@@ -175,19 +174,9 @@ class TrainingLoop(ABC):
         finished = later[keys.TERMINATED].squeeze(-1)
         self.tally.add("finished", finished.double(), where=done)
         self.curriculum.note(self.env.base_env, done, finished)
-        self.successes.note(done, finished)
-        self.anneal()
+        self.annealing.note(done, finished)
+        self.annealing.set(self.agent, self.env, self.frames / self.settings.total_frames)
         return block
-
-    def anneal(self) -> None:
-        """Let the agent explore and learn as is due after so many frames and successes.
-
-        Shaping pays by the discount that it learns with from now on.
-        """
-        progress = self.frames / self.settings.total_frames
-        self.agent.anneal(progress, self.successes.share)
-        if isinstance(self.env, TransformedWorlds):
-            self.env.set_gamma(self.agent.gamma)
 
     @abstractmethod
     def learn(self, block: TensorDictBase) -> None:
@@ -258,7 +247,7 @@ class TrainingLoop(ABC):
             "tally": self.tally.state(),
             "curriculum": self.curriculum.state(),
             "warm_start": self.warm_start.state(),
-            "successes": {"share": self.successes.share},
+            "annealing": {"share": self.annealing.share},
             "random": random_state(self.env.device),
         }
         self.checkpoints.save("state", self.frames, state, {})
@@ -270,7 +259,7 @@ class TrainingLoop(ABC):
             self._restore(newest.tree)
             self.checkpoints.forget_after(self.frames)
             self.best.save()
-        self.anneal()
+        self.annealing.set(self.agent, self.env, self.frames / self.settings.total_frames)
         for logger in self.loggers:
             logger.resume(self.logged)
 
@@ -290,7 +279,7 @@ class TrainingLoop(ABC):
         self.restore_own(state)
         self.tally.restore(state["tally"])
         self.curriculum.restore(state["curriculum"])
-        self.successes.share = state.get("successes", {"share": 0.0})["share"]
+        self.annealing.share = state.get("annealing", {"share": 0.0})["share"]
         restore_random(state["random"], device)
 
     def finish(self) -> Outcome:

@@ -2,15 +2,18 @@
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 from torch.distributions import Categorical
 
 from marl_clean import build, keys
 from marl_clean.config.compose import compose_config
 from marl_clean.config.fitting import check_fit
+from marl_clean.config.stored import compose_for_policy
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.evaluator import evaluate
 from marl_clean.learning import acting
 from marl_clean.learning.acting import entries
+from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.testing import agent as contract
 from marl_clean.testing import check_agent
 from tests.agent.parts import STATE_SHAPE, make_learner, transitions
@@ -160,3 +163,18 @@ def test_an_external_task_has_no_true_state() -> None:
     spread.agent.critic = "state"
     with pytest.raises(BadInput, match=r"^agent.critic=state: env=pettingzoo shows no true state"):
         check_fit(spread)
+
+
+def test_any_weights_play_as_the_config_says(tmp_path) -> None:
+    config = compose_config([*SMALL, *SIZES, "name=mine"])
+    agent = build.make_agent(config, build.make_env(config))
+    folder = tmp_path / "mine"
+    (folder / "checkpoints").mkdir(parents=True)
+    (folder / "config.yaml").write_text(OmegaConf.to_yaml(config))
+    Checkpoints(folder / FOLDER).save("best", 1, agent.network.state_dict(), {"T_100": 1.0})
+    changes = ["agent.mask_walls=true", "agent.play=sampled"]
+    wanted = compose_for_policy([f"checkpoint={folder}", *changes])
+    policy, own = build.load_policy(folder, wanted), build.load_policy(folder)
+    assert policy.draws and policy.network.mask_walls
+    assert not own.draws and not own.network.mask_walls
+    assert policy(build.make_env(wanted).reset())[keys.ACTION].shape == (4, 3)

@@ -4,10 +4,12 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from marl_clean import keys
+from marl_clean import build, keys
+from marl_clean.config.compose import compose_config
+from marl_clean.env.shaping import Shaping
 from marl_clean.learning.schedules import Discount, linear
+from marl_clean.trainer._annealing import WINDOW_EPISODES, Annealing
 from marl_clean.trainer._collecting import Windows
-from marl_clean.trainer._successes import WINDOW_EPISODES, Successes
 from tests.agent.parts import LEARNERS, make_learner, transitions
 
 
@@ -64,7 +66,7 @@ def test_windows_sum_by_the_present_discount() -> None:
 
 
 def test_successes_are_of_late_episodes() -> None:
-    successes, expected = Successes(), 0.0
+    successes, expected = Annealing(), 0.0
     generator = torch.Generator().manual_seed(0)
     for block in range(300):
         done = torch.rand(8, 16, generator=generator) < 0.05
@@ -79,3 +81,12 @@ def test_successes_are_of_late_episodes() -> None:
     before = successes.share
     successes.note(torch.zeros(2, 3, dtype=torch.bool), torch.zeros(2, 3, dtype=torch.bool))
     assert successes.share == before
+
+
+def test_shaped_rewards_are_discounted_as_the_learners() -> None:
+    small = ["env.shaping=0.5", "env.num_envs=2", "train_houses=4"]
+    env = build.make_env(compose_config(small))
+    agent = make_learner("iql", "plan", gamma=0.5, gamma_end=0.9)
+    Annealing().set(agent, env, 0.5)
+    (shaping,) = (each for each in env.transforms if isinstance(each, Shaping))
+    assert shaping.gamma == agent.gamma == pytest.approx(0.7)
