@@ -20,6 +20,8 @@ from marl_clean.pettingzoo import ParallelCleaning, parallel_env
 from marl_clean.world.dynamics import MOVES
 from marl_clean.world.shared_map import map_value, union_of_maps
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 FEW = ["train_houses=6", "house.rows=[6,7]", "house.cols=[5,8]", "env.max_steps=30"]
 WORLDS = {
     "default": [],

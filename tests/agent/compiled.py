@@ -1,8 +1,8 @@
 """Compile the networks of every comm level, variant and channel in one graph: all tell the same.
 
 A script of its own, because the run-time checks of the tests cannot be compiled. Graphs are
-captured for all; `inductor` makes machine code of one that has nearly everything, and of schemes
-that sum and attend, with their gradients. With arguments, of those comm levels instead.
+captured for all, with gradients for schemes that sum and attend; `inductor` makes machine code of
+one that has nearly everything. With arguments, of those comm levels and gradients instead.
 """
 
 import sys
@@ -35,7 +35,7 @@ EVERYTHING = {
 def main() -> None:
     levels = sys.argv[1:]
     for level in levels or ("commnet", "tarmac"):
-        check_gradients(level)
+        check_gradients(level, "inductor" if levels else "aot_eager")
     if levels:
         return
     for level, changes in VARIANTS + DILUTED:
@@ -64,15 +64,14 @@ def check(level: str, changes: dict, channels: dict[str, dict], memory: str, bac
         torch.testing.assert_close(mine, theirs, atol=1e-4, rtol=1e-4)
 
 
-def check_gradients(level: str) -> None:
-    """A scheme alone, by inductor: what it gives, and what it hands back."""
+def check_gradients(level: str, backend: str) -> None:
+    """A scheme alone: what it gives, and what it hands back."""
     torch.compiler.reset()
     comm = make(level).float()
     feature, live, rank = draw(2, n_agents=N_AGENTS)
     feature = feature.float().requires_grad_()
-    plain, fast = (
-        one(feature, live, rank)[:4] for one in (comm, torch.compile(comm, fullgraph=True))
-    )
+    compiled = torch.compile(comm, fullgraph=True, backend=backend)
+    plain, fast = (one(feature, live, rank)[:4] for one in (comm, compiled))
     back = [torch.autograd.grad(talk[0].square().sum(), feature)[0] for talk in (plain, fast)]
     for mine, theirs in zip((*plain, back[0]), (*fast, back[1]), strict=True):
         torch.testing.assert_close(mine, theirs, atol=1e-4, rtol=1e-4)

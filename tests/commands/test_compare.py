@@ -14,6 +14,8 @@ from marl_clean.config.compose import compose_config
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.records import MEASURES, make_entry, write_entries
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 QUIET = Console(quiet=True)
 
 

@@ -11,6 +11,8 @@ from marl_clean.commands.comparison import COMPARISONS, jobs_of
 from marl_clean.config.config_hash import config_hash
 from marl_clean.errors import BadInput
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 TINY = [
     "budget=smoke",
     "trainer.total_frames=512",
@@ -56,6 +58,7 @@ def test_a_wrong_setting_trains_nothing(setting, said, tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_a_comparison_trains_what_it_lacks_and_says_its_budget(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(train, "draw", lambda config, folder: None)  # a run's own pictures
     console = Console(file=io.StringIO(), width=200)
     svg, png = comparison.main("sensors", [*TINY, "seed=0,1"], console)
     assert len(list((tmp_path / "runs").glob("*/evaluation.json"))) == 4

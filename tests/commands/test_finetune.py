@@ -17,6 +17,8 @@ from marl_clean.errors import BadInput
 from marl_clean.evaluation.records import read_entries
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints, load_weights
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 SMALL = [
     "house.rows=[5,6]",
     "house.cols=[5,6]",

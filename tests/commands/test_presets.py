@@ -20,7 +20,7 @@ from marl_clean.config.stored import load_config
 from marl_clean.evaluation.records import MEASURES, SCHEMA, WORLD, read_entries
 from marl_clean.house.base import draw_houses
 
-pytestmark = pytest.mark.usefixtures("one_thread")
+pytestmark = pytest.mark.usefixtures("one_thread", "unchecked")
 
 EXPERIMENTS = sorted(path.stem for path in (conf_folder() / "experiment").glob("*.yaml"))
 ALL = sorted(path for group in PRESETS for path in (conf_folder() / group).glob("*.yaml"))
@@ -39,6 +39,7 @@ TINY = [
     "evaluation.houses=2",
     "evaluation.plans=[]",
 ]
+DEFAULTS = compose_config()
 ALLOWED = set(MEASURES) | {"seed", "path", "rows", "cols", "free_cells", "max_steps"}
 ALLOWED |= {f"bound_{name}" for name in ("90", "95", "99", "100", "certify")}
 
@@ -53,17 +54,16 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place / "runs" / "before"
 
 
-def wants_a_run(preset: str) -> bool:
-    return compose_config([f"experiment={preset}"]).checkpoint is not None
-
-
 def settings_of(preset: str, request: pytest.FixtureRequest) -> list[str]:
+    config = compose_config([f"experiment={preset}"])
     settings = [f"+experiment={preset}", *TINY]
-    if has_houses(compose_config([f"experiment={preset}"])):
+    if has_houses(config):
         settings.append("env.max_steps=20")
-    if wants_a_run(preset):
+    if config.checkpoint is not None:
         settings.append(f"checkpoint={request.getfixturevalue('trained')}")
-    if "path" in compose_config([f"experiment={preset}"]).house:
+    if len(sizes := config.evaluation.team_sizes) > 2:
+        settings.append(f"evaluation.team_sizes=[{sizes[0]},{sizes[-1]}]")
+    if "path" in config.house:
         settings.append("house.path=apartment")
     return settings
 
@@ -106,8 +106,9 @@ def test_a_preset_trains_and_measures(
 @pytest.mark.parametrize("path", ALL, ids=lambda path: f"{path.parent.name}={path.stem}")
 def test_what_is_read_in_a_preset_is_what_hydra_composes(path: Path) -> None:
     given = [f"{path.parent.name}={path.stem}"]
-    plain = OmegaConf.to_container(compose_config())
-    ours = compose.apply(plain | {"name": None}, compose.parse_overrides(given))
+    ours = compose.apply(
+        OmegaConf.to_container(DEFAULTS) | {"name": None}, compose.parse_overrides(given)
+    )
     theirs = OmegaConf.to_container(compose_config([*given, "name=x"]))
     assert ours | {"name": "x"} == theirs
     levels, _ = read_preset(path)

@@ -11,8 +11,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from marl_clean import settings
 from marl_clean.config import class_source, levels, schema
-from marl_clean.config.compose import compose_config
+from marl_clean.config.compose import checked, compose_config, resolved
 from marl_clean.config.config_hash import config_hash
+from marl_clean.config.overrides import parse_overrides
 from marl_clean.config.stored import check_same_run, compose_for_policy
 from marl_clean.errors import BadInput
 
@@ -95,11 +96,24 @@ def refusal(*overrides: str) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize("override", [*WRONG_TYPE, *WRONG_LEVEL, *OUT_OF_RANGE])
+@pytest.mark.parametrize("override", WRONG_TYPE)
+def test_every_key_refuses_what_is_not_of_its_type(override: str) -> None:
+    """In a config that is composed already, since Hydra leaves types to the check."""
+    config = CONFIG.copy()
+    with pytest.raises(BadInput) as caught:
+        [parsed] = parse_overrides([override])
+        OmegaConf.update(config, parsed.key, parsed.value)
+        checked(resolved(config), [parsed])
+    assert_names_its_key(str(caught.value), override)
+
+
+@pytest.mark.parametrize("override", [*WRONG_TYPE[::10], *WRONG_LEVEL, *OUT_OF_RANGE])
 def test_a_wrong_value_names_its_key_and_what_is_valid(override: str) -> None:
-    message = refusal(override)
-    key = override.partition("=")[0]
-    assert message.startswith(key)
+    assert_names_its_key(refusal(override), override)
+
+
+def assert_names_its_key(message: str, override: str) -> None:
+    assert message.startswith(override.partition("=")[0])
     assert "\n" not in message
     assert any(word in message for word in ("must", "valid", "no class", "no file", "one by one"))
 

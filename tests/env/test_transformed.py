@@ -1,5 +1,7 @@
 """A step without detours gives what TorchRL's own method gives, key by key and to the bit."""
 
+from functools import cache
+
 import pytest
 import torch
 from tensordict import TensorDictBase
@@ -9,6 +11,8 @@ from marl_clean import build, keys
 from marl_clean.config.compose import compose_config
 from marl_clean.config.levels import rooms
 from marl_clean.env.transformed import TransformedWorlds
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 SMALL = [
     "train_houses=8",
@@ -42,9 +46,12 @@ CASES = {
 }
 
 
+composed = cache(compose_config)  # two envs of each are played
+
+
 def make(settings: list[str]) -> tuple[TransformedWorlds, list]:
     """An env, and the keys that its robots' policy carries from step to step."""
-    cfg = compose_config(settings)
+    cfg = composed(tuple(settings))
     torch.manual_seed(0)
     env = build.make_env(cfg)
     agent = build.make_agent(cfg, env)

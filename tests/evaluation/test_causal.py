@@ -28,6 +28,8 @@ from marl_clean.evaluation.interventions import (
 from marl_clean.evaluation.listening import differences_of, listening
 from marl_clean.evaluation.records import make_entry
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 BASE = [
     "house.rows=[6,6]",
     "house.cols=[6,6]",

@@ -10,6 +10,8 @@ import pytest
 
 import marl_clean
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 ROOT = Path(__file__).parents[2]
 DOOR = ("train", "evaluate", "compare", "make_env", "load_policy", "Run", "Table", "CleaningEnv")
 MODULES = ("python.door", "python.run", "python.table", "pettingzoo", "env.cleaning")

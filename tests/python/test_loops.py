@@ -28,6 +28,8 @@ from marl_clean.learning.acting import begin_carrying
 from marl_clean.python.keywords import overrides_of
 from marl_clean.python.measuring import config_for_policy
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 STEPS, WORLDS = 12, 3
 LONG = {"num_envs": WORLDS, "max_steps": 5}  # several episodes in a rollout
 

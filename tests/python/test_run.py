@@ -16,6 +16,8 @@ from marl_clean.commands import train as train_command
 from marl_clean.config.stored import RUNS, load_config
 from tests.python.conftest import SMALL
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 def test_training_leaves_what_the_command_leaves(run: Run) -> None:
     assert run.folder == RUNS / "mine"

@@ -11,6 +11,8 @@ from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer._collecting import CarriedCollector
 from marl_clean.trainer.off_policy import OffPolicy
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 SETTINGS = [
     "env.num_envs=8",
     "env.stuck_after=12",

@@ -18,6 +18,8 @@ from marl_clean.logger.csv import Csv
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer._curriculum import Curriculum
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 HOUSES = smallest_first(draw_bank(Rooms([5, 9], [5, 9]), 30, n_agents=2))
 
 

@@ -18,7 +18,7 @@ from marl_clean.trainer.off_policy import OffPolicy
 from tests.agent.parts import make_agent, make_encoder
 from tests.trainer.probe import Probe, share_right
 
-pytestmark = pytest.mark.usefixtures("one_thread")
+pytestmark = pytest.mark.usefixtures("one_thread", "unchecked")
 
 SETTINGS = {
     "total_frames": 480,
@@ -255,7 +255,9 @@ def test_the_probe_is_not_solved_in_silence(tmp_path):
 def right_on_the_probe(folder: Path, comm: str, frames: int = 4096) -> float:
     agent = make_agent(comm, gamma=0.3, lr=4e-3, lr_end=4e-3, n_steps=1, annealing_fraction=0.6)
     trained = {"batch_frames": 64, "replay_ratio": 4.0, "buffer_frames": 5000}
-    train(folder / "run", agent=agent, **trained, total_frames=frames, eval_interval_frames=frames)
+    whole = ("total", "log_interval", "eval_interval", "checkpoint_interval")
+    trained |= {f"{name}_frames": frames for name in whole}  # nothing is saved on the way
+    train(folder / "run", agent=agent, **trained)
     return share_right(agent.policy(), worlds=256)
 
 

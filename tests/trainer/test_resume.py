@@ -18,7 +18,7 @@ from marl_clean.trainer.on_policy import OnPolicy
 from tests.agent.parts import make_agent, make_encoder, make_learner
 from tests.trainer.test_off_policy import SETTINGS, Signalling, assert_same_results
 
-pytestmark = pytest.mark.usefixtures("one_thread")
+pytestmark = pytest.mark.usefixtures("one_thread", "unchecked")
 
 ON_POLICY = {
     "total_frames": 480,
