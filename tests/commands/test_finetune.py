@@ -17,7 +17,7 @@ from marl_clean.errors import BadInput
 from marl_clean.evaluation.records import read_entries
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints, load_weights
 
-pytestmark = pytest.mark.usefixtures("unchecked")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("unchecked")]  # a run is trained
 
 SMALL = [
     "house.rows=[5,6]",
@@ -67,7 +67,6 @@ def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     return tmp_path
 
 
-@pytest.mark.slow
 def test_the_run_brings_its_config_and_the_preset_its_own(place: Path) -> None:
     config = compose_for_training(AT_HOME)
     assert config.observation._target_.endswith("Frontier")
@@ -97,7 +96,6 @@ def test_other_weights_make_another_run(place: Path) -> None:
     assert (measured.weights, measured.name) == (None, "before")
 
 
-@pytest.mark.slow
 def test_before_and_after_at_home_and_in_the_old_houses(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -164,7 +162,6 @@ def unmeasured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(train, "measure_all", lambda cfg, folder: [])
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("unmeasured")
 def test_starting_weights_that_training_only_worsens_stay_the_best(place: Path) -> None:
     assert cli.main(["train", *AT_HOME, "name=worse", "agent.lr=1.0", "agent.lr_end=1.0"]) == 0
@@ -178,7 +175,6 @@ class Killed(BaseException):
     """Ends a run without a chance to save, as kill -9 does."""
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("unmeasured")
 def test_a_killed_run_goes_on_from_its_state_and_not_from_the_start(
     place: Path, monkeypatch: pytest.MonkeyPatch
@@ -261,7 +257,6 @@ def test_learning_may_change_where_the_network_stays(place: Path) -> None:
     assert config.reward._target_.endswith("Team")
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("unmeasured")
 def test_a_sweep_starts_every_job_from_the_run(place: Path) -> None:
     sweep = ["train", "-m", "hydra/hydra_logging=none", *AT_HOME, "seed=1,2"]

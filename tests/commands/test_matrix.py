@@ -87,6 +87,7 @@ def test_stacks_are_read_with_their_settings():
     assert (section.quantised.bits, section.quantised.limit) == (2, 1.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

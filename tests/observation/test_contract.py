@@ -10,6 +10,7 @@ LEVELS = rooms()["observation"]
 SMALL = {"view_size": 5, "scales": 2, "position_noise": 0.3}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", LEVELS)
 def test_the_contract(level: str) -> None:
     check_observation(level)

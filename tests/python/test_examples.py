@@ -21,6 +21,7 @@ CONTRACTS = sorted(
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_run(name: str, run: marl_clean.Run) -> None:
     """In a folder with a finished run, runs/mine."""

@@ -28,7 +28,7 @@ from marl_clean.learning.acting import begin_carrying
 from marl_clean.python.keywords import overrides_of
 from marl_clean.python.measuring import config_for_policy
 
-pytestmark = pytest.mark.usefixtures("unchecked")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("unchecked")]  # a run is trained
 
 STEPS, WORLDS = 12, 3
 LONG = {"num_envs": WORLDS, "max_steps": 5}  # several episodes in a rollout
@@ -108,7 +108,7 @@ def env_of(run: str) -> EnvBase:
         by_collector,
         lambda run: by_collector(run, bare(run)),  # which asks the policy for its primer
         partial(by_batch_of, SerialEnv),
-        pytest.param(partial(by_batch_of, ParallelEnv), marks=pytest.mark.slow),
+        partial(by_batch_of, ParallelEnv),
     ],
     ids=["rollout", "step_and_maybe_reset", "Collector", "bare Collector", "Serial", "Parallel"],
 )

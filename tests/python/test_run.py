@@ -16,7 +16,7 @@ from marl_clean.commands import train as train_command
 from marl_clean.config.stored import RUNS, load_config
 from tests.python.conftest import SMALL
 
-pytestmark = pytest.mark.usefixtures("unchecked")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("unchecked")]  # a run is trained
 
 
 def test_training_leaves_what_the_command_leaves(run: Run) -> None:
