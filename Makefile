@@ -11,7 +11,7 @@ INSTALLED := $(VENV)/.installed
 RUN := $(VENV)/bin/python -m
 
 help:
-	@echo "make train       set up, train and evaluate the paper's approach 2"
+	@echo "make train       set up, train robots for any house, and evaluate them"
 	@echo "make test        set up, run the tests"
 	@echo "make test-fast   set up, run the tests that take no two seconds"
 	@echo "make lint        set up, check format and types"
@@ -28,7 +28,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	touch $@
 
 train: $(INSTALLED)
-	$(RUN) marl_clean train +experiment=approach_2_frontier
+	$(RUN) marl_clean train +experiment=any_house
 
 test: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(RUN) pytest -n 2 --dist worksteal

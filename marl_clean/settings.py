@@ -203,6 +203,7 @@ class LaterEvaluation(TypedDict, total=False):
     """Keys of `evaluation` that the configs of earlier runs lack."""
 
     optimum: bool
+    sides: list[HouseSide]
     team_sizes: list[PositiveInt]
 
 

@@ -19,6 +19,7 @@ from marl_clean.encoder._convolved import check_strides, fewest_weights, side_af
 from marl_clean.errors import BadInput
 from marl_clean.house.base import check_largest, draw_houses, split_seeds
 from marl_clean.house.floorplan import FloorPlan
+from marl_clean.house.rooms import Rooms
 from marl_clean.trainer._frames import check_frames
 
 
@@ -52,6 +53,20 @@ def check_plans(config: DictConfig) -> None:
             _check_sees(config, *houses.free.shape[1:])
         except BadInput as error:
             raise BadInput(f"evaluation.plans: {error}") from None
+
+
+def check_sides(config: DictConfig) -> None:
+    """Raises BadInput for a side of `evaluation.sides` of which there are no houses, or larger
+    ones than the observation has room for."""
+    sides = config.evaluation.get("sides", [])
+    if sides and not has_houses(config):
+        raise BadInput("evaluation.sides: env is an external task; valid: []")
+    for side in sides:
+        try:
+            draw_houses(Rooms([side, side], [side, side]), [0], config.env.n_agents)
+            _check_sees(config, side, side)
+        except BadInput as error:
+            raise BadInput(f"evaluation.sides: {side}: {error}") from None
 
 
 def check_teams(config: DictConfig) -> None:

@@ -32,8 +32,9 @@ from marl_clean.trainer._outcome import Outcome
 def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[Entry]:
     """Run `cfg` in `folder`: train or go on, then measure the best weights and draw.
 
-    The test houses are measured once, after training, beside the planners, and then every plan
-    of `evaluation.plans`. What is done already is not done again.
+    The test houses are measured once, after training, beside the planners, and then houses of
+    `evaluation.sides`, plans of `evaluation.plans`, teams of `evaluation.team_sizes`. What is done
+    already is not done again.
 
     Raises:
         BadInput: settings that do not fit each other; then no folder is made.
@@ -111,8 +112,8 @@ def measure_all(cfg: DictConfig, folder: Path) -> list[Entry]:
 
 
 def places(cfg: DictConfig) -> list[tuple[DictConfig, str | None]]:
-    """Return `cfg` in its own houses, in those of the run it started from, in each plan, and with
-    each size of team in its own houses.
+    """Return `cfg` in its own houses, in those of the run it started from, in houses of each size
+    and in each plan, and with each size of team in its own houses.
 
     Each is there once. Beside it is what its set of houses is called, where `test` would mean two.
     """
@@ -124,10 +125,20 @@ def places(cfg: DictConfig) -> list[tuple[DictConfig, str | None]]:
         old.house = stored["house"]
         generated = instantiate(cfg.house).generated and instantiate(old.house).generated
         chosen.append((old, f"test of {stored['name']}" if generated else None))
+    for side in cfg.evaluation.get("sides", []):
+        chosen.append((of_side(cfg, side), f"test {side}x{side}"))
     chosen += [(on_plan(cfg, plan), None) for plan in cfg.evaluation.plans]
     chosen += [(of_team(cfg, size), None) for size in cfg.evaluation.get("team_sizes", [])]
     seen = [(place.house, place.env.n_agents) for place, _ in chosen]
     return [each for index, each in enumerate(chosen) if seen[index] not in seen[:index]]
+
+
+def of_side(cfg: DictConfig, side: int) -> DictConfig:
+    """Return the same config in square houses of rooms, `side` cells a side."""
+    sized = cfg.copy()
+    size = f"[{side},{side}]"
+    sized.house = compose_config(["house=rooms", f"house.rows={size}", f"house.cols={size}"]).house
+    return sized
 
 
 def on_plan(cfg: DictConfig, plan: str) -> DictConfig:

@@ -24,6 +24,7 @@ LATER: dict[str, Any] = {
     "agent.play": "argmax",
     "agent.critic": None,
     "agent.critic_memory": "none",
+    "evaluation.sides": [],
 }
 """Keys that came later, each with the value by which all is as it was before there was a key."""
 

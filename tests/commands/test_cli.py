@@ -66,6 +66,8 @@ MORE_BAD_COMMANDS = {
     "train -m comm=plan,plam": "did you mean plan?",
     "train -m +experiment=comm_comparison,quick": "experiment: comm_comparison is a sweep",
     "train evaluation.team_sizes=[2,0]": "evaluation.team_sizes",
+    "train evaluation.sides=[10,2]": "evaluation.sides: 2: ",
+    "train +experiment=spread evaluation.sides=[10]": "an external task; valid: []",
     "train evaluation.team_sizes=[99]": "evaluation.team_sizes: 99: ",
     "train -m evaluation.team_sizes=[99] seed=1,2": "evaluation.team_sizes: 99: ",
     "train +experiment=paper_central evaluation.team_sizes=[3]": "agent=central_dqn is of env.n",

@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 from marl_clean import cli
 from marl_clean.config import compose
 from marl_clean.config.compose import compose_config, has_houses
-from marl_clean.config.levels import PRESETS, conf_folder, rooms
+from marl_clean.config.levels import PRESETS, conf_folder, level_of, rooms
 from marl_clean.config.presets import read_preset
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import load_config
@@ -32,14 +32,15 @@ TINY = [
     "env.num_envs=16",
     "trainer.total_frames=512",
     "trainer.frames_per_batch=256",
-    "trainer.batch_frames=32",
-    "trainer.replay_ratio=0.25",
-    "trainer.start_frames=0",
     "trainer.log_interval_frames=256",
     "evaluation.houses=2",
     "evaluation.plans=[]",
 ]
 DEFAULTS = compose_config()
+OF_TRAINERS = {
+    "off_policy": ["batch_frames=32", "replay_ratio=0.25", "start_frames=0"],
+    "on_policy": ["minibatch_frames=128"],
+}
 ALLOWED = set(MEASURES) | {"seed", "path", "rows", "cols", "free_cells", "max_steps"}
 ALLOWED |= {f"bound_{name}" for name in ("90", "95", "99", "100", "certify")}
 
@@ -50,13 +51,18 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("before")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
-        assert cli.main(["train", *TINY, "env.max_steps=20", "name=before"]) == 0
+        tiny = [*TINY, *(f"trainer.{setting}" for setting in OF_TRAINERS["off_policy"])]
+        assert cli.main(["train", *tiny, "env.max_steps=20", "name=before"]) == 0
     return place / "runs" / "before"
 
 
 def settings_of(preset: str, request: pytest.FixtureRequest) -> list[str]:
     config = compose_config([f"experiment={preset}"])
+    trainer = level_of(config.trainer._target_)
     settings = [f"+experiment={preset}", *TINY]
+    settings += [f"trainer.{setting}" for setting in OF_TRAINERS[trainer]]
+    if config.evaluation.sides:
+        settings.append("evaluation.sides=[8]")
     if has_houses(config):
         settings.append("env.max_steps=20")
     if config.checkpoint is not None:
