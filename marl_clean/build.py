@@ -32,8 +32,8 @@ from marl_clean.settings import HouseOrder
 from marl_clean.storage.checkpoint import fit_weights, load_weights
 from marl_clean.storage.manifest import weights_sha256
 
-PLAYED_BY = ("mask_walls", "play")
-"""Settings of learners by which any weights play."""
+ACTING_KEYS = ("mask_walls", "play")
+"""Settings of learners that change how actions are chosen, not the network."""
 
 
 def training_houses(cfg: DictConfig) -> Houses:
@@ -58,17 +58,17 @@ def make_env(
     seeded: bool = False,
     shaped: bool = True,
 ) -> TransformedEnv:
-    """Put env, topology, observation and reward together; for an external task see `make_task`.
+    """Build the env with topology, observation and reward; for an external task see `make_task`.
 
     Args:
         cfg: a composed config.
-        houses: the houses to play in; null: the training houses.
+        houses: the houses of the episodes; null: the training houses.
         num_envs: instead of `cfg.env.num_envs`.
-        house_order: whether episodes draw their house, or env i plays house i.
-        never_stuck: without truncation when nothing new is cleaned, as evaluation plays.
+        house_order: whether episodes draw their house, or env i always has house i.
+        never_stuck: without truncation when nothing new is cleaned, as in evaluation.
         first_env: index of the first world; what is drawn in a world depends on its index.
         seeded: frames hold draws for channels, whether or not the config's channel draws.
-        shaped: robots are paid for `env.shaping`; evaluation, which looks at no pay, spares it.
+        shaped: robots are paid for `env.shaping`; evaluation, which ignores pay, goes without.
     """
     if not has_houses(cfg):
         return make_task(cfg, num_envs, first_env)
@@ -101,7 +101,7 @@ def make_env(
 
 
 def make_task(cfg: DictConfig, num_envs: int | None = None, first_env: int = 0) -> TransformedEnv:
-    """Put an env that has no houses and its reward together; it shows what it likes itself.
+    """Build an env without houses and its reward; it defines its own observation.
 
     Raises:
         BadInput: the topology needs positions.
@@ -119,14 +119,14 @@ def make_task(cfg: DictConfig, num_envs: int | None = None, first_env: int = 0) 
 
 
 def draws(cfg: DictConfig, seeded: bool = False) -> list[Transform]:
-    """Build what draws for the channel and the policy, where they draw at all or are to."""
+    """Build the transform that draws for channel and policy, where either draws or `seeded`."""
     sampled = cfg.agent.get("play") == "sampled"
     drawing = seeded or sampled or any(channel.draws for channel in make_channels(cfg, ()).values())
     return [ChannelSeed()] if drawing else []
 
 
 def needs_state(cfg: DictConfig) -> bool:
-    """Whether the learner is to know the true state, in learning alone."""
+    """Whether the learner uses the true state, in learning alone."""
     return bool(constant(cfg.agent._target_, "needs_state")) or cfg.agent.get("critic") == "state"
 
 
@@ -151,7 +151,7 @@ def make_planner(cfg: DictConfig, env: TransformedEnv) -> Planner:
 def make_encoder(cfg: DictConfig, seen: torch.Size) -> Encoder:
     """Build the encoder of what robots see, of shape `seen`.
 
-    One that asks for `spread` is handed how the observation's codes spread over planes.
+    An encoder with a parameter `spread` receives how the observation's codes spread over planes.
     """
     parts = {}
     if has_houses(cfg) and takes(cfg.encoder._target_, "spread"):
@@ -162,18 +162,18 @@ def make_encoder(cfg: DictConfig, seen: torch.Size) -> Encoder:
 def make_comm(section: DictConfig, in_features: int, seen: torch.Size) -> Comm:
     """Build a scheme for features of this length; `seen` is the shape of an observation.
 
-    A scheme that sends observations asks by `observed` how many numbers one has.
+    A scheme that sends observations has a parameter `observed`, the number of values in one.
     """
-    asked = {"observed": seen.numel()} if takes(section["_target_"], "observed") else {}
-    return instantiate(section, in_features=in_features, **asked)
+    parts = {"observed": seen.numel()} if takes(section["_target_"], "observed") else {}
+    return instantiate(section, in_features=in_features, **parts)
 
 
 def make_channels(cfg: DictConfig, message_dims: Dims) -> dict[str, Channel]:
-    """Build the stack of channels for messages of so many numbers in each round."""
+    """Build the stack of channels for messages of `message_dims` numbers, one entry a round."""
     stack = {}
     for name, section in cfg.channel.items():
-        asked = takes(section["_target_"], "message_dims")
-        parts = {"message_dims": message_dims} if asked else {}
+        sized = takes(section["_target_"], "message_dims")
+        parts = {"message_dims": message_dims} if sized else {}
         stack[str(name)] = instantiate(section, **parts)
     return stack
 
@@ -193,7 +193,7 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
 
 
 def agent_parts(cfg: DictConfig, env: TransformedEnv) -> dict[str, Any]:
-    """Build what a learner is made of and no setting says: networks' parts, and sizes of `env`."""
+    """Build what a learner needs besides its settings: parts of networks, and sizes of `env`."""
     seen = env.observation_spec[keys.OBSERVATION].shape[2:]
     encoder = make_encoder(cfg, seen)
     comm = make_comm(cfg.comm, encoder.out_features, seen)
@@ -214,8 +214,8 @@ def agent_parts(cfg: DictConfig, env: TransformedEnv) -> dict[str, Any]:
 def as_wide_as_allowed(cfg: DictConfig, env: TransformedEnv) -> DictConfig:
     """Return `cfg` with the encoder's features as wide as `parameter_budget` allows.
 
-    Counted are encoder, scheme and head, so that networks with different schemes are of one
-    size. What a channel learns is not: over another one the network is the same.
+    Encoder, scheme and head are counted, so that networks with different schemes have the same
+    size. Weights of a channel are not: the network stays the same over another channel.
 
     Raises:
         BadInput: not even one feature fits.
@@ -228,7 +228,7 @@ def as_wide_as_allowed(cfg: DictConfig, env: TransformedEnv) -> DictConfig:
         sized.encoder.hidden = [*cfg.encoder.hidden[:-1], width]
         with torch.random.fork_rng([]):
             weights = make_agent(sized, env).network.named_parameters()
-        return sum(one.numel() for name, one in weights if not name.startswith("channel."))
+        return sum(w.numel() for name, w in weights if not name.startswith("channel."))
 
     if (least := size(1)) > budget:
         raise BadInput(
@@ -244,7 +244,7 @@ def as_wide_as_allowed(cfg: DictConfig, env: TransformedEnv) -> DictConfig:
 
 
 def ready_for(agent: Agent, env: TransformedEnv) -> TransformedEnv:
-    """Return an env whose episodes begin with nothing carried, and tell when they begin."""
+    """Return the env with what the agent needs at resets: carried state at zero, and `is_init`."""
     primer = agent.primer()
     if primer is not None or agent.unrolls:
         env.append_transform(InitTracker())
@@ -254,8 +254,8 @@ def ready_for(agent: Agent, env: TransformedEnv) -> TransformedEnv:
 
 
 def ready_for_policy(cfg: DictConfig, env: TransformedEnv) -> TransformedEnv:
-    """Return an env that holds what a policy of `cfg` carries from step to step."""
-    with torch.random.fork_rng([]):  # its weights are of no use here
+    """Return the env with what a policy of `cfg` carries from step to step."""
+    with torch.random.fork_rng([]):  # the agent's weights are not used
         return ready_for(make_agent(cfg, env), env)
 
 
@@ -263,7 +263,7 @@ def start_from(agent: Agent, cfg: DictConfig) -> None:
     """Give an agent the weights that `cfg` says it starts from.
 
     Raises:
-        BadInput: they do not fit its network, or are others than `cfg` was composed for.
+        BadInput: they do not fit its network, or are not those that `cfg` was composed for.
     """
     folder = find_run(cfg.checkpoint)
     if weights_sha256(folder) != cfg.weights:
@@ -277,9 +277,8 @@ def load_policy(folder: Path, wanted: DictConfig | None = None) -> TensorDictMod
 
     It is on the CPU, wherever the run was trained.
 
-    `wanted`: the config that it is to be played by: over its channel, and with those settings of
-    its learner that change no network (`PLAYED_BY`). What the channel of the training learnt about
-    its own ways is of no use over another; what the other would learn, it does not know.
+    `wanted`: a config whose channel and whose `ACTING_KEYS` of the learner replace the run's.
+    Weights of the training's channel do not transfer to another channel, which stays untrained.
 
     Raises:
         BadInput: the run has no whole weights yet, or they do not fit its config.
@@ -289,7 +288,7 @@ def load_policy(folder: Path, wanted: DictConfig | None = None) -> TensorDictMod
     houses = held_out_houses(cfg, "validation", 1) if has_houses(cfg) else None
     if wanted is not None:
         cfg.channel = wanted.channel
-        for key in PLAYED_BY:
+        for key in ACTING_KEYS:
             if key in cfg.agent and key in wanted.agent:
                 cfg.agent[key] = wanted.agent[key]
     agent = make_agent(cfg, make_env(cfg, houses, num_envs=1))

@@ -1,7 +1,7 @@
 """`marl-clean COMMAND [key=value ...]`: one thin function a command.
 
 The config is composed and checked first; only then is torch imported. Exit codes: 0 done, 1
-`doctor` found something, 2 bad input (one line on stderr), 130 interrupted, 143 terminated.
+`doctor` reports a problem, 2 bad input (one line on stderr), 130 interrupted, 143 terminated.
 """
 
 import argparse
@@ -47,12 +47,12 @@ def evaluate(arguments: argparse.Namespace) -> int:
     from marl_clean.config.config_hash import config_hash
     from marl_clean.config.stored import RUNS, compose_for_policy
 
-    asked = [text.partition("=")[2] for text in arguments.settings if text.startswith(INTERVENE)]
+    texts = [text for text in arguments.settings if text.startswith(INTERVENE)]
+    intervention = texts[-1].removeprefix(INTERVENE) if texts else None
     settings = [text for text in arguments.settings if not text.startswith(INTERVENE)]
     config = compose_for_policy(settings)
     check_all(config)
-    if asked:
-        check_intervention(config, asked[-1])
+    check_intervention(config, intervention)
     name = config.name
     if config.checkpoint is not None and len(settings) > 1:  # measured elsewhere
         name = f"{name}-{config_hash(config)[:8]}"
@@ -61,12 +61,12 @@ def evaluate(arguments: argparse.Namespace) -> int:
     from marl_clean.commands import evaluate as command
     from marl_clean.evaluation.interventions import named
 
-    command.main(config, out, interventions=named(asked[-1]) if asked else ())
+    command.main(config, out, interventions=() if intervention is None else named(intervention))
     return 0
 
 
 def watch(arguments: argparse.Namespace) -> int:
-    """play one house in the terminal with checkpoint=RUN or planner=NAME"""
+    """show one episode in the terminal, of checkpoint=RUN or planner=NAME"""
     from marl_clean.config.stored import compose_for_policy
 
     config = compose_for_policy(arguments.settings)
@@ -97,7 +97,7 @@ def figure(arguments: argparse.Namespace) -> int:
 
 
 def compare(arguments: argparse.Namespace) -> int:
-    """finished runs in one table, seeds pooled, each against one of them on the same houses"""
+    """finished runs in one table, seeds pooled, compared with one of them on the same houses"""
     from marl_clean.commands import compare as command
 
     command.main(arguments.runs, arguments.out, against=arguments.against)
@@ -137,17 +137,17 @@ def list_levels(arguments: argparse.Namespace) -> int:
 
 
 def doctor(arguments: argparse.Namespace) -> int:
-    """what is installed, what is missing, how to mend it"""
+    """what is installed, what is missing, how to fix it"""
     from marl_clean.commands.doctor import findings
 
     report = list(findings())
     width = max(len(finding.name) for finding in report)
     lines = []
     for finding in report:
-        remedy = f"  -> {finding.mend}" if finding.mend else ""
+        remedy = f"  -> {finding.remedy}" if finding.remedy else ""
         lines.append(f"{finding.name:{width}}  {finding.state}{remedy}")
     _write(lines)
-    return int(any(finding.mend for finding in report))
+    return int(any(finding.remedy for finding in report))
 
 
 COMMANDS = {
@@ -168,15 +168,15 @@ marl-clean COMMAND [key=value ...]
 
 {commands}
 
-Settings are Hydra overrides: `comm=none` takes another level of a room, `env.n_agents=4` sets a
-key, `+experiment=NAME` takes a preset; `train -m seed=0,1,2` runs every combination. `marl-clean
-list` shows what there is; `marl-clean COMMAND --help` shows one command. `--plugin PACKAGE` after
+Settings are Hydra overrides: `comm=none` selects a level of a room, `env.n_agents=4` sets a key,
+`+experiment=NAME` applies a preset; `train -m seed=0,1,2` runs every combination. `marl-clean
+list` shows the choices; `marl-clean COMMAND --help` shows one command. `--plugin PACKAGE` after
 any command brings in levels of a package of your own.
 """
 
 
 class Parser(argparse.ArgumentParser):
-    """An ArgumentParser whose complaints are BadInput like all others."""
+    """An ArgumentParser whose errors are BadInput like all others."""
 
     def error(self, message: str) -> NoReturn:
         raise BadInput(f"{message}; `{self.prog} --help` shows what is valid")
@@ -215,10 +215,10 @@ def _run(argv: Sequence[str]) -> int:
         raise BadInput(f"{name}: no such command; {choices(name, COMMANDS)}")
     from marl_clean.config.locate import plugins_in_use
 
-    asked, _ = _plugin_option().parse_known_args(argv[1:])
-    with plugins_in_use(asked.plugin):
-        helps = {"-h", "--help"}.intersection(argv)
-        arguments = _parser(name, bool(helps)).parse_intermixed_args(argv[1:])
+    early, _ = _plugin_option().parse_known_args(argv[1:])
+    with plugins_in_use(early.plugin):
+        shows_help = bool({"-h", "--help"}.intersection(argv))
+        arguments = _parser(name, shows_help).parse_intermixed_args(argv[1:])
         if name not in WITHOUT_SETTINGS:
             from marl_clean.commands.shorthand import with_floor_plans
 
@@ -227,24 +227,24 @@ def _run(argv: Sequence[str]) -> int:
 
 
 def _plugin_option() -> Parser:
-    """Return what reads `--plugin`, which counts before anything else is read."""
+    """Return the parser of `--plugin`, which takes effect before anything else is read."""
     parser = Parser(add_help=False, allow_abbrev=False)
     parser.add_argument(
         "--plugin",
         metavar="PACKAGE",
         action="append",
         default=[],
-        help="a package whose conf/ brings levels of its own; several",
+        help="a package whose conf/ brings levels of its own; may be repeated",
     )
     return parser
 
 
-def _parser(name: str, helps: bool = False) -> Parser:
-    """Return what reads a command's arguments; `helps` where it is asked what there is."""
+def _parser(name: str, shows_help: bool = False) -> Parser:
+    """Return a command's parser; with `shows_help` its help lists the rooms' levels."""
     parser = Parser(
         prog=f"marl-clean {name}",
         description=f"{COMMANDS[name].__doc__}{ALSO.get(name, '')}",
-        epilog=_levels() if helps and name not in WITHOUT_SETTINGS else None,
+        epilog=_levels() if shows_help and name not in WITHOUT_SETTINGS else None,
         parents=[_plugin_option()],
     )
     if name == "figure":
@@ -257,7 +257,7 @@ def _parser(name: str, helps: bool = False) -> Parser:
             "--out", type=Path, help="where to write the rows as json, and OUT_paired.json beside"
         )
         parser.add_argument(
-            "--against", metavar="ROW", help="the row that others are held against: its label"
+            "--against", metavar="ROW", help="label of the row that the others are compared with"
         )
     if name == "matrix":
         parser.add_argument("runs", metavar="RUN", nargs="+", help="folders of runs")
@@ -265,9 +265,9 @@ def _parser(name: str, helps: bool = False) -> Parser:
             "--channel",
             metavar="STACK",
             action="append",
-            help="to measure over, such as lossy(loss=0.5),quantised; several; else the runs' own",
+            help="such as lossy(loss=0.5),quantised; may be repeated; default: the runs' own",
         )
-        parser.add_argument("--houses", type=int, help="how many test houses")
+        parser.add_argument("--houses", type=int, help="number of test houses")
         parser.add_argument("--out", type=Path, help="where to write the cells as json")
     if name not in WITHOUT_SETTINGS:
         parser.add_argument("settings", metavar="key=value", nargs="*", help="Hydra overrides")

@@ -27,7 +27,7 @@ class Knowledge(StrEnum):
 
 
 class Sensor(StrEnum):
-    """How robots learn of walls: by bumping, or by touching the four neighbours."""
+    """How robots detect walls: by bumping, or by touching the four neighbours."""
 
     BUMP = "bump"
     TOUCH4 = "touch4"
@@ -55,7 +55,7 @@ class ObstaclePay(StrEnum):
 
 
 class Assignment(StrEnum):
-    """Who decides which robot takes which target."""
+    """How targets are assigned to robots."""
 
     NONE = "none"
     GREEDY = "greedy"
@@ -63,7 +63,7 @@ class Assignment(StrEnum):
 
 
 class Ties(StrEnum):
-    """In which order a search tries the four directions, so which of equal ways it takes."""
+    """The order in which a search tries the four directions: it decides between equal paths."""
 
     FIXED = "fixed"  # up, right, down, left
     STRAIGHT = "straight"  # the direction of the robot's last move, then the fixed order
@@ -71,7 +71,7 @@ class Ties(StrEnum):
 
 
 class Form(Enum):
-    """The form of what a robot sees; an observation says which it gives, an encoder its own."""
+    """The form of what a robot sees: what an observation gives and an encoder takes."""
 
     SQUARES = "squares"
     VECTOR = "a vector"
@@ -153,7 +153,7 @@ Kinds = Annotated[list[Literal["rooms", "single_room", "open"]], Field(min_lengt
 
 
 def _colours(value: list[list[int]]) -> list[list[int]]:
-    if not value or any(len(one) != 3 or not 0 <= min(one) <= max(one) <= 255 for one in value):
+    if not value or any(len(c) != 3 or not 0 <= min(c) <= max(c) <= 255 for c in value):
         raise ValueError(
             f"must be colours [red, green, blue] of 0 to 255, as in [[32,115,185]], not {value}"
         )
@@ -190,7 +190,7 @@ def _sha256(value: str) -> str:
     return value
 
 
-# Nothing else is ever imported: a config may come from a stranger.
+# Nothing else is ever imported: a config may come from an untrusted source.
 Task = Annotated[str, AfterValidator(_task)]
 Options = dict[str, int | float | bool]
 Sha256 = Annotated[str, AfterValidator(_sha256)]

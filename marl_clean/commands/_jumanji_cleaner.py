@@ -1,4 +1,4 @@
-"""Jumanji's Cleaner, our nearest relative, played beside our own world (an extra)."""
+"""Jumanji's Cleaner, our nearest relative, timed beside our own world (an extra)."""
 
 import importlib.util
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def cleaner(num_envs: int, n_agents: int, side: int) -> Callable[[int], None] | None:
-    """Return what plays a number of steps: jitted, vmapped and scanned, random valid actions.
+    """Return a function that runs a number of steps of random valid actions, jitted and scanned.
 
     None where Jumanji is not installed (`pip install marl-clean[benchmark]`).
     """
@@ -32,8 +32,8 @@ def cleaner(num_envs: int, n_agents: int, side: int) -> Callable[[int], None] | 
     key = jax.random.PRNGKey(0)
     carry = jax.jit(jax.vmap(env.reset))(jax.random.split(key, num_envs))
 
-    def play(count: int) -> None:
+    def run(count: int) -> None:
         nonlocal carry
         carry = jax.block_until_ready(scan(carry, count))
 
-    return play
+    return run

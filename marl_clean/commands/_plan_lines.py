@@ -1,4 +1,4 @@
-"""What became of the floor plans that a command uses, a line each on stderr."""
+"""What is kept of the floor plans that a command uses, a line each on stderr."""
 
 import sys
 from collections.abc import Iterable
@@ -13,18 +13,18 @@ from marl_clean.house.base import House, HouseLayout
 from marl_clean.house.floorplan import FloorPlan
 
 
-def say_plans(cfg: DictConfig, others: Iterable[str] = ()) -> None:
-    """Say of every floor plan of the config's house, and of `others` by path, what is kept of it.
+def write_plan_lines(cfg: DictConfig, others: Iterable[str] = ()) -> None:
+    """Write what is kept of each floor plan of the config's house, and of `others` by path.
 
-    Houses that are generated need no such line.
+    Generated houses need no such line.
     """
     for layout in floor_plans(cfg, others):
         sys.stderr.write(f"{plan_line(layout)}\n")
     sys.stderr.flush()
 
 
-def say_evaluation(cfg: DictConfig) -> None:
-    """Say of a floor plan also how often it is started, and how long an episode lasts at most."""
+def write_evaluation_lines(cfg: DictConfig) -> None:
+    """Write the same with the number of starts, and the steps that an episode lasts at most."""
     for layout in floor_plans(cfg):
         rows, cols = (torch.tensor([side]) for side in layout.free.shape)
         steps = int(step_limits(rows, cols, cfg.env.n_agents, cfg.env.max_steps))

@@ -1,4 +1,4 @@
-"""How far an evaluation is and how long it will take, before the eyes of who waits."""
+"""The progress of an evaluation and the time that is left, on stderr."""
 
 import sys
 import time
@@ -12,7 +12,7 @@ class EvaluationProgress:
     """A bar where stderr is a terminal, else a line now and then.
 
     Args:
-        num_policies: how many are measured, one after the other.
+        num_policies: how many are measured, one after another.
         every_seconds: between lines where there is no terminal.
     """
 
@@ -44,9 +44,9 @@ class EvaluationProgress:
         self.bar.stop()
 
     def show(self, name: str, share: float) -> None:
-        """Show that of the policy `name` this share is measured; a new name is the next policy."""
+        """Show the measured share of the policy `name`; a new name is the next policy."""
         if not self.names:
-            self.bar.start()  # not before: tasks without houses tell of no progress
+            self.bar.start()  # not earlier: tasks without houses report no progress
         if name not in self.names:
             self.names.append(name)
         number = len(self.names)

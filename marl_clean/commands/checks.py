@@ -1,4 +1,4 @@
-"""What a config asks of its levels and of the machine: floor plan, folders, device.
+"""What a config needs of its levels and of the machine: floor plan, folders, device.
 
 Every command that composes a config goes through `check_all`: a new check is added to one of the
 lists at the end of this file, and every command refuses what it refuses.
@@ -104,7 +104,7 @@ def check_square_view(config: DictConfig, what: str) -> None:
 def check_old_houses(config: DictConfig) -> None:
     """Raises BadInput where the houses of the run that training starts from cannot be drawn.
 
-    They are measured after training, and a plan of theirs may lie elsewhere by now.
+    They are measured after training, and the file of their floor plan may have moved.
     """
     if config.checkpoint is None:
         return
@@ -117,7 +117,7 @@ def check_old_houses(config: DictConfig) -> None:
 
 
 def check_imitate(config: DictConfig) -> None:
-    """Raises BadInput where who is to be imitated is no planner, or has no houses to plan for."""
+    """Raises BadInput where `trainer.imitate` is no planner, or there are no houses to plan for."""
     name = config.trainer.get("imitate")
     if name is None:
         return
@@ -181,14 +181,16 @@ def check_run_folder(config: DictConfig) -> None:
     check_same_run(config, RUNS / config.name)
 
 
-def check_intervention(config: DictConfig, asked: str | None) -> None:
-    """Raises BadInput where messages are to be changed and no run is named whose they are."""
-    if asked is not None and config.checkpoint is None:
-        raise BadInput(f"intervention={asked}: needs checkpoint=RUN, whose messages to change")
+def check_intervention(config: DictConfig, intervention: str | None) -> None:
+    """Raises BadInput where an intervention is given without the run whose messages it changes."""
+    if intervention is not None and config.checkpoint is None:
+        raise BadInput(
+            f"intervention={intervention}: needs checkpoint=RUN, whose messages to change"
+        )
 
 
 def check_device(config: DictConfig) -> None:
-    """Raises BadInput when torch cannot use the device; asks torch only when it is not the cpu."""
+    """Raises BadInput when torch cannot use the device; torch is imported only for a GPU."""
     device = config.device
     if device == "cpu":
         return
@@ -219,7 +221,7 @@ def check_compile(config: DictConfig) -> None:
 def check_all(config: DictConfig, training: bool = False, here: bool = True) -> None:
     """Raises BadInput where a config cannot be used: by any command, or for `training`.
 
-    `here` says that it is this machine that will use it.
+    `here`: whether this machine will use it.
     """
     for check in (*CHECKS, *(OF_TRAINING if training else ()), *(OF_THE_MACHINE if here else ())):
         check(config)

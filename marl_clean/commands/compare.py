@@ -1,4 +1,4 @@
-"""`marl-clean compare RUNS...`: seeds pooled, and each setting against one on the same houses."""
+"""`marl-clean compare RUNS...`: seeds pooled, settings compared in pairs on the same houses."""
 
 import json
 import logging
@@ -52,7 +52,7 @@ class WorldComparison:
         pools: each setting's entries, its seeds pooled, by its label.
         planner: the yardstick's entry.
         entries: of all policies, the planners last.
-        reference: the row that others are compared with; None where there is but one row.
+        reference: the row that others are compared with; None where there is only one row.
         differences: of each row to it, measure by measure.
     """
 
@@ -73,7 +73,7 @@ def main(
     """Print two tables for every set of houses and return their entries, those of all seeds pooled.
 
     The first has means, the second each setting's paired difference to one of them: `against`,
-    or the first that is silent (`comm=none`), or the first. Intervals over several seeds
+    or the first without communication (`comm=none`), or the first. Intervals over several seeds
     resample runs and then houses. A folder without a finished run is logged in one line and left
     out. `out`: where the entries are written as json; the differences are written beside it, as
     `<out>_paired.json`. `figure`: draw runs/figures/compare*.png and .svg.
@@ -135,7 +135,7 @@ def gather(runs: Sequence[str]) -> list[World]:
             log.warning("left out: %s", error)
             continue
         if config["name"] not in {entry["policy"] for entry in entries}:
-            log.warning("left out: %s: tells nothing of its own run", folder / MEASURED)
+            log.warning("left out: %s: has no entry of its own run", folder / MEASURED)
             continue
         if folder.resolve() in seen:
             continue
@@ -165,7 +165,9 @@ def rows_of(world: World) -> list[Row]:
 
 
 def reference_of(world: World, rows: Sequence[Row], against: str | None) -> Row:
-    """The row that the others are compared with: `against`, else a silent row, else the first.
+    """The row that the others are compared with: `against`, else one without communication.
+
+    Without either it is the first.
 
     Raises BadInput where no row is labelled `against`.
     """

@@ -130,14 +130,14 @@ def main(name: str, settings: Sequence[str], console: Console | None = None) -> 
             planner += [entry for entry in first_set if entry["policy"] == YARDSTICK]
         rows[label] = (pooled(learned), planner[0])
     first = next(iter(jobs.values()))
-    title = f"{COMPARISONS[name].question}\n{how_much(settings, first)}"
+    title = f"{COMPARISONS[name].question}\n{budget_line(settings, first)}"
     paths = save_figure(draw_comparison(title, rows), RUNS / "figures" / name)
     for path in paths:
         console.print(f"written to {path}", soft_wrap=True)
     return paths
 
 
-def how_much(settings: Sequence[str], configs: Sequence[DictConfig]) -> str:
+def budget_line(settings: Sequence[str], configs: Sequence[DictConfig]) -> str:
     """The runs' training budget, their number and their number of test houses, in words."""
     budget = [o.value for o in parse_overrides(settings) if o.key == BUDGET]
     config = configs[0]

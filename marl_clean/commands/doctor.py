@@ -1,4 +1,4 @@
-"""`marl-clean doctor`: what is installed, what is missing, how to mend it."""
+"""`marl-clean doctor`: what is installed, what is missing, how to fix it."""
 
 import os
 import platform
@@ -18,11 +18,11 @@ DISTRIBUTION = "marl-clean"
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the report; `mend` is the remedy, empty where nothing is wrong."""
+    """One line of the report; `remedy` is empty where nothing is wrong."""
 
     name: str
     state: str
-    mend: str = ""
+    remedy: str = ""
 
 
 def findings() -> Iterator[Finding]:
@@ -58,14 +58,14 @@ def _distributions() -> Iterator[Finding]:
 
 def _distribution(requirement: Requirement, extra: str | None) -> Finding:
     wanted = f"{requirement.name}{requirement.specifier}"
-    mend = f"pip install '{wanted}'"
+    remedy = f"pip install '{wanted}'"
     try:
         version = metadata.version(requirement.name)
     except metadata.PackageNotFoundError:
         state = f"not installed (extra {extra})" if extra else "missing"
-        return Finding(wanted, state, "" if extra else mend)
+        return Finding(wanted, state, "" if extra else remedy)
     fits = requirement.specifier.contains(version, prereleases=True)
-    return Finding(wanted, version, "" if fits else mend)
+    return Finding(wanted, version, "" if fits else remedy)
 
 
 def _extra_of(requirement: Requirement) -> str | None:

@@ -8,7 +8,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from marl_clean import build
-from marl_clean.commands._plan_lines import say_evaluation
+from marl_clean.commands._plan_lines import write_evaluation_lines
 from marl_clean.commands._progress import EvaluationProgress
 from marl_clean.config.stored import find_run
 from marl_clean.evaluation.causal import intervene, make_causal_tables
@@ -31,12 +31,12 @@ def main(
 ) -> list[Entry]:
     """Measure `cfg.checkpoint`'s policy beside the planners, or without one `cfg.planner`.
 
-    With `interventions` its messages are changed too, one way after the other.
+    With `interventions` it is also measured under each of these changes of its messages.
 
-    Writes the entries to `out` as soon as each is there, the policy asked for first, and prints
+    Writes the entries to `out` as soon as each is measured, the policy's own first, and prints
     them as a table. Raises BadInput where the checkpoint's weights cannot be used.
     """
-    say_evaluation(cfg)
+    write_evaluation_lines(cfg)
     alone = cfg.checkpoint is None
     with EvaluationProgress(1 if alone else 1 + len(interventions) + len(YARDSTICKS)) as progress:
         entries = measured(cfg, interventions, progress.show, partial(write_entries, out))
@@ -58,7 +58,7 @@ def measured(
 ) -> list[Entry]:
     """Return the entries of `cfg.checkpoint`'s policy and the planners, or of `cfg.planner`.
 
-    `keep` is called with those that are there, whenever there is one more.
+    `keep` is called with all entries so far, after each new one.
     Raises BadInput where the checkpoint's weights cannot be used.
     """
     entries: list[Entry] = []
@@ -74,13 +74,13 @@ def measured(
     policy = build.load_policy(find_run(cfg.checkpoint), cfg).to(cfg.device)
     if interventions:
         talking(policy, cfg.name)
-    beside = measure_beside_planners(cfg, policy, cfg.name, on_progress)
-    own = next(beside)
+    measurements = measure_beside_planners(cfg, policy, cfg.name, on_progress)
+    own = next(measurements)
     add(own)
     if interventions:
-        entries.clear()  # the policy's own entry comes again, with how well it listens
+        entries.clear()  # the policy's own entry is replaced by one that includes its listening
         for entry in intervene(cfg, policy, cfg.name, own, interventions, on_progress):
             add(entry)
-    for entry in beside:
+    for entry in measurements:
         add(entry)
     return entries

@@ -24,11 +24,11 @@ def main(name: str, cfg: DictConfig, console: Console | None = None) -> list[Pat
         raise BadInput(f"figure {name!r}: no such figure; {choices(name, (*NAMES, *COMPARISONS))}")
     if name == "paper_2":
         check_square_view(cfg, "figure paper_2")
-    from marl_clean.commands._plan_lines import say_plans
+    from marl_clean.commands._plan_lines import write_plan_lines
     from marl_clean.report.axes import save_figure
     from marl_clean.report.figures import draw_figure
 
-    say_plans(cfg)
+    write_plan_lines(cfg)
     paths = save_figure(draw_figure(name, cfg), RUNS / "figures" / name)
     for path in paths:
         (console or Console()).print(f"written to {path}", soft_wrap=True)

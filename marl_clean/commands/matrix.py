@@ -1,4 +1,4 @@
-"""`marl-clean matrix RUNS...`: policies trained over one channel, measured over all the others."""
+"""`marl-clean matrix RUNS...`: policies trained over one channel, measured over all of them."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -46,16 +46,16 @@ def main(
 ) -> list[Entry]:
     """Measure every run over every channel; print the matrix and draw it to runs/figures/matrix.
 
-    `channels` are stacks such as `lossy,quantised`, with settings as in `lossy(loss=0.5)`; none:
-    those that the runs were trained over. `houses`: how many, instead of each run's own. `out`:
-    where the entries are written, with policies named `TRAINED | MEASURED`.
+    `channels` are stacks such as `lossy,quantised`, with settings as in `lossy(loss=0.5)`; without
+    any, those that the runs were trained over. `houses`: their number, instead of each run's.
+    `out`: where the entries are written, with policies named `TRAINED | MEASURED`.
     Raises BadInput where no run is left, or a channel is invalid.
     """
     groups = gather(runs)
     tested = {text: section_of(text) for text in channels} or trained_over(groups)
     for trained in groups.values():
         for section in tested.values():
-            over(trained.config, section, houses)  # all are checked before one is measured
+            over(trained.config, section, houses)  # all are checked before any is measured
     from marl_clean import build
     from marl_clean.commands.compare import pooled
     from marl_clean.evaluation.evaluator import in_any_env, measure
@@ -85,7 +85,7 @@ def main(
 
 
 def gather(runs: Sequence[str]) -> dict[str, Trained]:
-    """The runs by their setting, seeds together; folders that are no run are logged."""
+    """The runs by their setting, seeds together; folders without a run are logged."""
     groups: dict[str, Trained] = {}
     for run in dict.fromkeys(runs):
         try:
@@ -124,7 +124,7 @@ def section_of(text: str) -> DictConfig:
         if opened or "=" not in name:
             stack.append(name.strip())
             settings += [f"channel.{stack[-1]}.{inner}"] if inner else []
-        else:  # a further setting of the channel before
+        else:  # a further setting of the previous channel
             settings.append(f"channel.{stack[-1]}.{name.strip()}")
     return compose_config([f"channel=[{','.join(stack)}]", *settings]).channel
 

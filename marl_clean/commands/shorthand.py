@@ -12,9 +12,9 @@ HOUSE = "house"
 def with_floor_plans(settings: Sequence[str]) -> list[str]:
     """Return the settings with `house=PLAN` as `house=floorplan house.path=PLAN`.
 
-    A plan is the name of a shipped one, or a file that looks like one; levels stay levels.
+    A plan is the name of a shipped plan, or a path that looks like a file; levels stay levels.
     """
-    return [each for setting in settings for each in _spelled_out(setting)]
+    return [part for setting in settings for part in _spelled_out(setting)]
 
 
 def _spelled_out(setting: str) -> list[str]:
@@ -25,7 +25,7 @@ def _spelled_out(setting: str) -> list[str]:
 
 
 def _is_floor_plan(value: str) -> bool:
-    if value in groups()[HOUSE] or "," in value:  # several values are a sweep's
+    if value in groups()[HOUSE] or "," in value:  # several values are a sweep
         return False
     shipped = {path.stem for path in SHIPPED.iterdir()}
     return value in shipped or "/" in value or Path(value).suffix.lower() in SUFFIXES

@@ -22,9 +22,9 @@ ON_THIS_MACHINE = ("basic", "joblib")  # launchers
 def run(overrides: Sequence[str]) -> None:
     """Check every job's config, then run them all, one folder a job.
 
-    Raises BadInput before the first job starts, and afterwards what the first failed job raised.
+    Raises BadInput before the first job starts, and afterwards the error of the first failed job.
     """
-    parsed = parse_overrides(overrides, hydra_too=True)
+    parsed = parse_overrides(overrides, allow_hydra=True)
     of_hydra = [override for override in parsed if override.of_hydra]
     check_launching(of_hydra)
     launchers = [override.value for override in of_hydra if override.key == "hydra/launcher"]
@@ -37,8 +37,8 @@ def named_jobs(parsed: Sequence[Override], here: bool = True) -> list[list[str]]
     """The settings of each distinct job, its name among them.
 
     A job is named after its config, so the same command again finds the same folders; a given
-    name becomes the folder of the whole sweep. Raises BadInput when a job's config is wrong;
-    `here` says that the jobs will run on this machine.
+    name becomes the folder of the whole sweep. `here`: whether the jobs will run on this machine.
+    Raises BadInput when a job's config is wrong.
     """
     jobs = {}
     for job in sweep_jobs([*of_preset(parsed), *parsed]):
@@ -51,11 +51,11 @@ def named_jobs(parsed: Sequence[Override], here: bool = True) -> list[list[str]]
 
 
 def of_preset(parsed: Sequence[Override]) -> list[Override]:
-    """What the chosen preset sweeps, but for keys that the settings give values of their own.
+    """What the chosen preset sweeps, except for keys that the settings set themselves.
 
-    Raises BadInput where one of several presets says a sweep, which would be another's too.
+    Raises BadInput where one of several presets has a sweep, which would apply to the others too.
     """
-    given = {override.key for override in parsed}
+    overridden = {override.key for override in parsed}
     presets = [override for override in parsed if override.key == EXPERIMENT][-1:]
     names = [
         str(name)
@@ -69,15 +69,17 @@ def of_preset(parsed: Sequence[Override]) -> list[Override]:
         if swept and len(names) > 1:
             raise BadInput(f"{EXPERIMENT}: {name} is a sweep of its own; give it alone")
         sweep |= swept
-    return parse_overrides([f"{key}={value}" for key, value in sweep.items() if key not in given])
+    return parse_overrides(
+        [f"{key}={value}" for key, value in sweep.items() if key not in overridden]
+    )
 
 
 def sweep_jobs(parsed: Sequence[Override]) -> list[list[Override]]:
-    """The settings of each job of a sweep: every combination of the values given.
+    """The settings of each job of a sweep: every combination of the values.
 
-    Raises BadInput on a range that has no end, such as `interval(0, 1)`.
+    Raises BadInput on a range that is not a list, such as `interval(0, 1)`.
     """
-    alternatives: dict[str, list[Override]] = {}  # of one key given twice the later counts
+    alternatives: dict[str, list[Override]] = {}  # the last setting of a key counts
     for override in parsed:
         key = override.key
         if not override.is_sweep:
@@ -92,8 +94,8 @@ def sweep_jobs(parsed: Sequence[Override]) -> list[list[Override]]:
 def train_job(composed: DictConfig, plugins: Sequence[str] = ()) -> None:
     """One job of a sweep, in whatever process its launcher chose.
 
-    Its settings are composed anew: a checkpoint's config is none of Hydra's. It is checked anew,
-    too, since the job's machine may not be the launching one.
+    Its settings are composed anew: Hydra does not know a checkpoint's config. They are checked
+    again, since the job may run on another machine than the launcher.
     """
     from marl_clean.commands import train
 

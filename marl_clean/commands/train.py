@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from marl_clean import build
-from marl_clean.commands._plan_lines import say_plans
+from marl_clean.commands._plan_lines import write_plan_lines
 from marl_clean.config.compose import compose_config, has_houses
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import CONFIG, find_run, load_config
@@ -30,7 +30,7 @@ from marl_clean.trainer._outcome import Outcome
 
 
 def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[Entry]:
-    """Run `cfg` in `folder`: train or go on, then measure the best weights and draw.
+    """Run `cfg` in `folder`: train or resume, then measure the best weights and draw.
 
     The test houses are measured once, after training, beside the planners, and then houses of
     `evaluation.sides`, plans of `evaluation.plans`, teams of `evaluation.team_sizes`. What is done
@@ -50,21 +50,21 @@ def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[
         entries = measure_all(cfg, folder)
         write_entries(folder / MEASURED, entries)
     draw(cfg, folder)
-    for one in dict.fromkeys((entry["house_set"], entry["n_agents"]) for entry in entries):
-        console.print(make_table([e for e in entries if (e["house_set"], e["n_agents"]) == one]))
+    for key in dict.fromkeys((entry["house_set"], entry["n_agents"]) for entry in entries):
+        console.print(make_table([e for e in entries if (e["house_set"], e["n_agents"]) == key]))
     console.print(f"in {folder}: {', '.join(sorted(f.name for f in folder.iterdir()))}")
     return entries
 
 
 def train(cfg: DictConfig, folder: Path) -> Outcome:
     """Train until the budget is spent; the folder is made when everything is built."""
-    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every buffer it makes
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it reports every buffer it makes
     torch.manual_seed(cfg.seed)
     env = build.make_env(cfg)
     agent = build.make_agent(cfg, env)
     env = build.ready_for(agent, env)
-    only = {} if has_houses(cfg) else {"select_by": "return"}  # all that is measured there
-    trainer = instantiate(cfg.trainer, **only)
+    fixed = {} if has_houses(cfg) else {"select_by": "return"}  # an external task has no other
+    trainer = instantiate(cfg.trainer, **fixed)
     trainer.check(env, agent)
     if cfg.checkpoint is not None:  # a resumed run puts its state over these weights
         build.start_from(agent, cfg)
@@ -74,7 +74,7 @@ def train(cfg: DictConfig, folder: Path) -> Outcome:
         files.write_file(folder / CONFIG, [OmegaConf.to_yaml(cfg, resolve=True).encode()])
     except OSError as error:
         raise BadInput(f"name={cfg.name}: {folder} cannot be written: {error.strerror}") from error
-    say_plans(cfg, cfg.evaluation.plans)
+    write_plan_lines(cfg, cfg.evaluation.plans)
     return trainer.train(
         env,
         agent,
@@ -88,8 +88,8 @@ def train(cfg: DictConfig, folder: Path) -> Outcome:
 def measure_all(cfg: DictConfig, folder: Path) -> list[Entry]:
     """Measure the best weights and the planners in all `places`.
 
-    Where training started from another run's weights, these are measured too, as `RUN before`:
-    what was gained in the new houses, and what was forgotten of the old ones.
+    Where training started from another run's weights, these are measured too, as `RUN before`: it
+    shows what was gained in the new houses, and what was forgotten in the old ones.
     """
     cfg = cfg.copy()
     cfg.evaluation.house_set = "test"  # validation houses have chosen the weights
@@ -100,13 +100,13 @@ def measure_all(cfg: DictConfig, folder: Path) -> list[Entry]:
         policies[f"{load_config(run)['name']} before"] = before
     entries = []
     for place, house_set in places(cfg):
-        mine, *planners = measure_beside_planners(place, policies[cfg.name], cfg.name)
+        own, *planners = measure_beside_planners(place, policies[cfg.name], cfg.name)
         before = [
             measure(place, partial(in_any_env, policy), name, epsilon=place.evaluation.epsilon)
             for name, policy in policies.items()
             if name != cfg.name
         ]
-        measured = [mine, *before, *planners]
+        measured = [own, *before, *planners]
         entries += [{**entry, "house_set": house_set or entry["house_set"]} for entry in measured]
     return entries
 
@@ -115,7 +115,7 @@ def places(cfg: DictConfig) -> list[tuple[DictConfig, str | None]]:
     """Return `cfg` in its own houses, in those of the run it started from, in houses of each size
     and in each plan, and with each size of team in its own houses.
 
-    Each is there once. Beside it is what its set of houses is called, where `test` would mean two.
+    Each is listed once, with a name for its set of houses where `test` would be ambiguous.
     """
     chosen: list[tuple[DictConfig, str | None]] = [(cfg, None)]
     if not has_houses(cfg):
@@ -130,7 +130,7 @@ def places(cfg: DictConfig) -> list[tuple[DictConfig, str | None]]:
     chosen += [(on_plan(cfg, plan), None) for plan in cfg.evaluation.plans]
     chosen += [(of_team(cfg, size), None) for size in cfg.evaluation.get("team_sizes", [])]
     seen = [(place.house, place.env.n_agents) for place, _ in chosen]
-    return [each for index, each in enumerate(chosen) if seen[index] not in seen[:index]]
+    return [place for index, place in enumerate(chosen) if seen[index] not in seen[:index]]
 
 
 def of_side(cfg: DictConfig, side: int) -> DictConfig:
@@ -143,10 +143,10 @@ def of_side(cfg: DictConfig, side: int) -> DictConfig:
 
 def on_plan(cfg: DictConfig, plan: str) -> DictConfig:
     """Return the same config in the house of a floor plan file."""
-    there = cfg.copy()
-    there.house = compose_config(["house=floorplan", "house.path=apartment"]).house
-    there.house.path = plan
-    return there
+    in_plan = cfg.copy()
+    in_plan.house = compose_config(["house=floorplan", "house.path=apartment"]).house
+    in_plan.house.path = plan
+    return in_plan
 
 
 def of_team(cfg: DictConfig, size: int) -> DictConfig:
@@ -170,10 +170,10 @@ def draw(cfg: DictConfig, folder: Path) -> None:
 
 
 def planner_means(cfg: DictConfig) -> dict[str, float]:
-    """Measure nearest_unknown on the validation houses, which the curve is of."""
-    rival = cfg.copy()
-    rival.planner = compose_config(["planner=nearest_unknown"]).planner
-    rival.evaluation.house_set = "validation"
-    summary = measure_planner(rival)["summary"]
+    """Measure nearest_unknown on the validation houses, where the learning curve is measured."""
+    planned = cfg.copy()
+    planned.planner = compose_config(["planner=nearest_unknown"]).planner
+    planned.evaluation.house_set = "validation"
+    summary = measure_planner(planned)["summary"]
     means = {name: measure["mean"] for name, measure in summary.items()}
     return {name: mean for name, mean in means.items() if mean is not None}

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from omegaconf import DictConfig
 
-from marl_clean.commands._plan_lines import say_plans
+from marl_clean.commands._plan_lines import write_plan_lines
 from marl_clean.env.viewer import draw_text
 from marl_clean.report.episode import first_held_out, policy_of, scenes
 
@@ -22,9 +22,9 @@ def main(
 ) -> None:
     """Show an episode in the first held-out house with `cfg.checkpoint`'s policy or `cfg.planner`.
 
-    Into a file or a pipe goes the last frame alone, as plain text and without delay.
+    A file or a pipe gets the last frame alone, as plain text and without delay.
     """
-    say_plans(cfg)
+    write_plan_lines(cfg)
     out = sys.stdout
     episode = scenes(first_held_out(cfg), policy_of(cfg))
     if not out.isatty():
@@ -34,7 +34,7 @@ def main(
     out.write(HIDE_CURSOR + CLEAR)
     try:
         for scene in episode:
-            # Written over the frame before, line by line: clearing it first would flicker.
+            # Written over the previous frame, line by line: clearing it first would flicker.
             frame = draw_text(scene).replace("\n", f"{CLEAR_LINE}\n")
             out.write(f"{HOME}{frame}{CLEAR_LINE}\n{CLEAR_BELOW}")
             out.flush()

@@ -1,4 +1,4 @@
-"""What a class says of itself, read from its source without importing it.
+"""What a class declares, read from its source without importing it.
 
 `_target_: marl_clean.house.rooms.Rooms` names a module and a class; `ast` reads the annotations
 of its `__init__` and the constants of its body, so a config is checked before torch is loaded.
@@ -48,7 +48,7 @@ class ClassSource:
     def bases(self) -> Iterator["ClassSource"]:
         """The bases that are classes of our packages, in their order.
 
-        Raises BadInput for one of which it cannot be read where it is defined.
+        Raises BadInput for a base whose definition cannot be located.
         """
         for base in self.node.bases:
             dotted = ast.unparse(base.value if isinstance(base, ast.Subscript) else base)
@@ -94,7 +94,7 @@ def parameters(target: str) -> dict[str, Parameter]:
     """The parameters of `target`'s constructor that a config can set, by name.
 
     A parameter whose annotation is not made of builtins and `marl_clean.settings` (a network, an
-    env) is handed over in code and is none of them. One with a record as its default, as
+    env) is passed in code and is left out. A parameter whose default is a record, as in
     `rules: Rules = Rules()`, stands for the record's fields.
 
     Raises BadInput when `target` is no class of our packages.
@@ -108,17 +108,17 @@ def records(target: str) -> dict[str, Record]:
 
 
 def takes(target: str, part: str) -> bool:
-    """Whether the constructor of `target` has a parameter of this name, for a key or in code."""
+    """Whether the constructor of `target` has a parameter named `part`, of any type."""
     return any(part == argument.arg for _, argument, _ in _arguments(class_of(target)))
 
 
 def constant(target: str, name: str) -> Any:
     """What the body of the class `target`, or the nearest base that has it, sets `name` to.
 
-    None where none does. An annotation without a value declares it, and sets nothing.
+    None where no class sets it. An annotation without a value declares it, and sets nothing.
 
-    Raises BadInput, naming class and line, where what it is set to cannot be read: a constant is
-    written out in the class's body, of literals and names of `marl_clean.settings`.
+    Raises BadInput, naming class and line, where its value cannot be read: a constant is written
+    out in the class's body, of literals and names of `marl_clean.settings`.
     """
     for source in class_of(target).lineage():
         for item in source.node.body:
@@ -135,7 +135,7 @@ def constant(target: str, name: str) -> Any:
 
 
 def _names_set(item: ast.stmt) -> set[str]:
-    """The names that a statement of a class's body gives a value, in whatever way."""
+    """The names that a statement of a class's body assigns."""
     if isinstance(item, ast.AnnAssign) and item.value is None:
         return set()
     if isinstance(item, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
@@ -148,7 +148,7 @@ def _names_set(item: ast.stmt) -> set[str]:
 
 
 def _value_set(item: ast.stmt) -> ast.expr:
-    """What `name = value` or `name: type = value` sets. Raises TypeError for any other way."""
+    """What `name = value` or `name: type = value` sets. Raises TypeError for other statements."""
     if isinstance(item, ast.AnnAssign) and item.value is not None:
         return item.value
     if isinstance(item, ast.Assign) and all(isinstance(t, ast.Name) for t in item.targets):
@@ -158,7 +158,7 @@ def _value_set(item: ast.stmt) -> ast.expr:
 
 @cache
 def _parse(module: str) -> ast.Module:
-    """The syntax tree of a module, empty where it is none of our packages."""
+    """The syntax tree of a module, empty for a module outside our packages."""
     path = file_of(module)
     return ast.parse(path.read_text(encoding="utf-8") if path else "")
 
@@ -201,7 +201,7 @@ def _imports(module: str) -> dict[str, str]:
 
 
 def _constructor(source: ClassSource) -> tuple[ClassSource, ast.FunctionDef | None] | None:
-    """The nearest class that says how it is made, and its `__init__`, which a dataclass has not."""
+    """The nearest class that defines its constructor, and its `__init__`; None for a dataclass."""
     for owner in source.lineage():
         for item in owner.node.body:
             if isinstance(item, ast.FunctionDef) and item.name == "__init__":
@@ -214,12 +214,12 @@ def _constructor(source: ClassSource) -> tuple[ClassSource, ast.FunctionDef | No
 def _arguments(source: ClassSource) -> Iterator[tuple[ClassSource, ast.arg, ast.expr | None]]:
     """The arguments of the nearest `__init__`: the class it stands in, argument and default."""
     match _constructor(source):
-        case (owner, ast.FunctionDef(args=given)):
-            positional = [*given.posonlyargs, *given.args]
-            required: list[None] = [None] * (len(positional) - len(given.defaults))
+        case (owner, ast.FunctionDef(args=signature)):
+            positional = [*signature.posonlyargs, *signature.args]
+            required: list[None] = [None] * (len(positional) - len(signature.defaults))
             for argument, default in (
-                *zip(positional, [*required, *given.defaults], strict=True),
-                *zip(given.kwonlyargs, given.kw_defaults, strict=True),
+                *zip(positional, [*required, *signature.defaults], strict=True),
+                *zip(signature.kwonlyargs, signature.kw_defaults, strict=True),
             ):
                 yield owner, argument, default
 
@@ -271,7 +271,7 @@ def _is_dataclass(source: ClassSource) -> bool:
 
 
 def _type(annotation: ast.expr | None) -> Any | None:
-    """The type an annotation spells, or None when it needs more than `settings` and builtins."""
+    """The type an annotation names, or None when it needs more than `settings` and builtins."""
     if annotation is None:
         return None
     try:

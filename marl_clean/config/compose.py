@@ -14,7 +14,7 @@ from marl_clean.config import class_source, hydra_adapter, schema
 from marl_clean.config.config_hash import config_hash, container
 from marl_clean.config.hydra_adapter import Override, first_line
 from marl_clean.config.levels import EXPERIMENT, PRESETS, SEVERAL, groups, level_file, rooms
-from marl_clean.config.overrides import one_value_each, parse_overrides
+from marl_clean.config.overrides import check_single_values, parse_overrides
 from marl_clean.config.presets import read_preset
 from marl_clean.errors import BadInput
 from marl_clean.settings import Evaluation, Root
@@ -32,26 +32,26 @@ def compose_config(overrides: Sequence[str] = ()) -> DictConfig:
 
 def compose_parsed(parsed: Sequence[Override]) -> DictConfig:
     """`compose_config` of settings that have been read already."""
-    one_value_each(parsed)
+    check_single_values(parsed)
     return checked(resolved(_composed(parsed)), parsed)
 
 
 def unchecked(overrides: Sequence[str]) -> dict[str, Any]:
     """The config that `overrides` describe as it stands: nothing is resolved or checked.
 
-    Raises BadInput on what cannot be read, and for a level or key that there is not.
+    Raises BadInput on what cannot be read, and for a level or key that does not exist.
     """
     return container(_composed(parse_overrides(overrides)))
 
 
 def has_houses(config: DictConfig) -> bool:
-    """Whether the config's env is played in houses, or is an external task that has none."""
+    """Whether the config's env has houses; an external task has none."""
     return class_source.takes(config.env._target_, "houses")
 
 
 def apply(config: dict[str, Any], parsed: Sequence[Override]) -> dict[str, Any]:
     """`config` of an earlier run, with presets, then overridden levels and values on top."""
-    one_value_each(parsed)
+    check_single_values(parsed)
     levels: dict[str, Any] = {}
     sets: list[dict[str, Any]] = []
     for group in PRESETS:
@@ -77,7 +77,7 @@ def apply(config: dict[str, Any], parsed: Sequence[Override]) -> dict[str, Any]:
 
 
 def resolved(config: DictConfig) -> dict[str, Any]:
-    """The config as plain data, every `${...}` replaced. Raises BadInput on one that cannot be."""
+    """The config as plain data, every `${...}` replaced. Raises BadInput where one cannot be."""
     try:
         plain = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     except OmegaConfBaseException as error:
@@ -87,13 +87,13 @@ def resolved(config: DictConfig) -> dict[str, Any]:
 
 
 def checked(plain: dict[str, Any], parsed: Sequence[Override] = ()) -> DictConfig:
-    """`plain` as a config with its `name` filled in. Raises BadInput when the schema says no."""
-    plain = {**plain, "logger": plain.get("logger") or {}}  # none at all is a choice, too
+    """`plain` as a config with its `name` filled in. Raises BadInput when the schema refuses."""
+    plain = {**plain, "logger": plain.get("logger") or {}}  # no logger at all is valid
     plain["channel"] = plain.get("channel") or PERFECT
     problems = list(_problems(plain))
     if problems:
-        asked = {override.key for override in parsed}
-        first = next((p for p in problems if p.key in asked), problems[0])
+        overridden = {override.key for override in parsed}
+        first = next((p for p in problems if p.key in overridden), problems[0])
         raise BadInput(f"{first.key}: {first.reason}")
     config = OmegaConf.create(plain)
     if config.name is None:
@@ -107,9 +107,9 @@ def _problems(plain: Mapping[str, Any]) -> Iterator[schema.Problem]:
     """Everything in the config that the constructors and `settings` do not accept."""
     levels = rooms()
     root = get_type_hints(Root, include_extras=True)
-    given = {key: value for key, value in plain.items() if key not in levels}
-    evaluation = given.pop("evaluation", {})
-    yield from schema.problems_of_mapping(given, root, "", root)
+    root_values = {key: value for key, value in plain.items() if key not in levels}
+    evaluation = root_values.pop("evaluation", {})
+    yield from schema.problems_of_mapping(root_values, root, "", root)
     yield from _problems_of_evaluation(evaluation)
     for room in levels:
         section = plain.get(room)
@@ -138,21 +138,22 @@ def _problems_of_evaluation(section: Any) -> Iterator[schema.Problem]:
 
 
 def _composed(parsed: Sequence[Override]) -> DictConfig:
-    """Hydra's composition. Raises BadInput that names the key Hydra stumbled over."""
+    """Hydra's composition. Raises BadInput that names the key at fault."""
     try:
         return hydra_adapter.compose(parsed)
     except hydra_adapter.NotComposed as error:
-        raise BadInput(_why_not(parsed, str(error))) from None
+        raise BadInput(_composition_error(parsed, str(error))) from None
 
 
-def _why_not(parsed: Sequence[Override], said: str) -> str:
+def _composition_error(parsed: Sequence[Override], hydra_message: str) -> str:
+    """The message for settings that make no config: the key at fault, else Hydra's own words."""
     chosen = [override for override in parsed if override.key in groups()]
     known = container(hydra_adapter.compose(chosen))
     for key in (override.key for override in parsed if override not in chosen):
         if key not in set(dotted_keys(known)):
             return _unknown(key, known)
     sections = [override.key for override in parsed if isinstance(override.value, dict)]
-    return f"{sections[0]}: set a section's keys one by one" if sections else said
+    return f"{sections[0]}: set a section's keys one by one" if sections else hydra_message
 
 
 def _unknown(key: str, known: Mapping[str, Any]) -> str:
@@ -160,8 +161,9 @@ def _unknown(key: str, known: Mapping[str, Any]) -> str:
     parent, _, last = key.rpartition(".")
     room, _, level = parent.partition(".")
     if room in SEVERAL and level in rooms()[room] and level not in known[room]:
-        taken = ",".join(known[room])
-        return f"{key}: {level} is not in {room}=[{taken}]; take it, as in {room}=[{taken},{level}]"
+        chosen = ",".join(known[room])
+        listed = f"{room}=[{chosen}]"
+        return f"{key}: {level} is not in {listed}; add it, as in {room}=[{chosen},{level}]"
     siblings = [
         k.removeprefix(f"{parent}.") if parent else k
         for k in dotted_keys(known)

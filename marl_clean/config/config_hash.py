@@ -26,7 +26,7 @@ LATER: dict[str, Any] = {
     "agent.critic_memory": "none",
     "evaluation.sides": [],
 }
-"""Keys that came later, each with the value by which all is as it was before there was a key."""
+"""Keys added later, each with the value that reproduces what was before there was a key."""
 
 
 def config_hash(config: DictConfig) -> str:
@@ -46,7 +46,7 @@ def config_hash(config: DictConfig) -> str:
 
 
 def _without_later(section: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The section without those of `LATER` that have their earlier value."""
+    """The section without the keys of `LATER` that have their earlier value."""
     return {
         key: value
         for key, value in section.items()

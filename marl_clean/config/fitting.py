@@ -1,4 +1,4 @@
-"""Which levels fit each other: asked of their classes, before torch is imported."""
+"""Which levels fit each other: read from their classes, before torch is imported."""
 
 from typing import Any
 
@@ -13,8 +13,8 @@ from marl_clean.settings import Form
 def check_fit(config: DictConfig) -> None:
     """Raises BadInput when two levels do not go together.
 
-    A class may say in `fits` which levels of other rooms it goes with; an encoder `takes` the
-    form that the observation, or an external task, `gives`; only squares can be turned.
+    A class may list in `fits` which levels of other rooms it goes with; an encoder `takes` the
+    form that the observation, or an external task, `gives`; only squares can be rotated.
     """
     targets = {
         str(room): str(section["_target_"])
@@ -29,16 +29,16 @@ def check_fit(config: DictConfig) -> None:
                 if level not in valid:
                     fitting = f"{room}={level_of(target)}; valid: {', '.join(valid)}"
                     raise BadInput(f"{other}={level}: does not fit {fitting}")
-    seer = "observation" if constant(targets["env"], "gives") is None else "env"
-    gives, expects = constant(targets[seer], "gives"), constant(targets["encoder"], "takes")
-    given = f"{seer}={level_of(targets[seer])} gives {gives.value}"
+    source = "observation" if constant(targets["env"], "gives") is None else "env"
+    gives, expects = constant(targets[source], "gives"), constant(targets["encoder"], "takes")
+    source_form = f"{source}={level_of(targets[source])} gives {gives.value}"
     if gives is not expects:
         raise BadInput(
-            f"encoder={level_of(targets['encoder'])}: takes {expects.value}, {given};"
+            f"encoder={level_of(targets['encoder'])}: takes {expects.value}, {source_form};"
             f" valid: {', '.join(encoders_of(gives))}"
         )
     if gives is not Form.SQUARES and config.agent.get("augment", False):
-        raise BadInput(f"agent.augment=true: turns squares, {given}; valid: false")
+        raise BadInput(f"agent.augment=true: rotates squares, {source_form}; valid: false")
     if config.agent.get("mask_walls", False) and not takes(targets["env"], "houses"):
         env = f"env={level_of(targets['env'])}"
         raise BadInput(

@@ -1,4 +1,4 @@
-"""All that this package asks of Hydra: to read settings, to compose a config, to launch jobs.
+"""All that this package uses of Hydra: reading settings, composing a config, launching jobs.
 
 Nothing else imports Hydra, whose inner modules move between its versions.
 """
@@ -30,7 +30,7 @@ from marl_clean.errors import BadInput
 
 VERSION_BASE = "1.3"
 CONFIG_NAME = "config"
-LAUNCHERS = {  # what to install for those that Hydra does not bring
+LAUNCHERS = {  # what to install for those that do not come with Hydra
     "joblib": "hydra-joblib-launcher",
     "ray": "hydra-ray-launcher",
     "ray_aws": "hydra-ray-launcher",
@@ -46,19 +46,19 @@ class Override:
 
     key: str
     text: str
-    value: Any  # None of a sweep
+    value: Any  # None for a sweep
     is_sweep: bool
-    values: tuple[str, ...]  # of a sweep that has an end, each as one would write it
+    values: tuple[str, ...]  # of a finite sweep, each as typed on the command line
     of_hydra: bool
 
     @property
     def setting(self) -> str:
-        """KEY=VALUE, as one would write it."""
+        """KEY=VALUE, as typed on the command line."""
         return f"{self.key}={self.text}"
 
 
 class Unreadable(Exception):
-    """A text that is no setting in Hydra's grammar."""
+    """A text that is not a setting in Hydra's grammar."""
 
 
 class NotPlain(Exception):
@@ -66,11 +66,11 @@ class NotPlain(Exception):
 
 
 class NotComposed(Exception):
-    """What Hydra says of settings that make no config, in a line."""
+    """Settings make no config; the message is Hydra's, on one line."""
 
 
 def parse(text: str) -> Override:
-    """Read a setting. Raises Unreadable or NotPlain where it is no KEY=VALUE."""
+    """Read a setting. Raises Unreadable or NotPlain where it is not KEY=VALUE."""
     try:
         [parsed] = OverridesParser.create().parse_overrides([text])
     except HydraException:
@@ -100,7 +100,7 @@ def compose(overrides: Sequence[Override]) -> DictConfig:
 
 
 def check_launching(overrides: Sequence[Override]) -> None:
-    """Raises BadInput where settings of Hydra's own name a level or a key that it has not."""
+    """Raises BadInput where settings of Hydra's own name a level or key that does not exist."""
     with _hydra() as hydra:
         for override in overrides:
             if override.is_sweep:
@@ -141,14 +141,14 @@ def settings_of_job() -> list[str]:
 
 
 def first_line(error: Exception) -> str:
-    """The first line of what an error says, or else its kind."""
+    """The first line of an error's message, or its type where it has none."""
     return (str(error).strip() or type(error).__name__).splitlines()[0]
 
 
 @contextmanager
 def _hydra() -> Iterator[Hydra]:
-    """Hydra over the packages' config folders, also inside somebody else's program or sweep."""
-    theirs = get_gh_backup()
+    """Hydra over the packages' config folders, also inside another program or sweep."""
+    outer_state = get_gh_backup()
     GlobalHydra.instance().clear()
     try:
         version.setbase(VERSION_BASE)
@@ -158,7 +158,7 @@ def _hydra() -> Iterator[Hydra]:
             path.prepend(package.name, str(package.conf), "schema")  # which must stay last
         yield Hydra.create_main_hydra2("marl-clean", path)
     finally:
-        restore_gh_from_backup(theirs)
+        restore_gh_from_backup(outer_state)
 
 
 def _for_launching(hydra: Hydra, overrides: Sequence[Override]) -> DictConfig:

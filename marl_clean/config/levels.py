@@ -9,8 +9,8 @@ from marl_clean.storage.safe_yaml import load_yaml
 
 EXPERIMENT = "experiment"
 BUDGET = "budget"
-PRESETS = (EXPERIMENT, BUDGET)  # groups that set keys of several rooms, and are none themselves
-SEVERAL = ("logger", "channel")  # rooms of which several levels may be taken at once, by name
+PRESETS = (EXPERIMENT, BUDGET)  # groups that set keys of several rooms; not rooms themselves
+SEVERAL = ("logger", "channel")  # rooms that take several levels at once, by name
 
 
 def conf_folder() -> Path:
@@ -24,7 +24,7 @@ def rooms() -> dict[str, list[str]]:
 
 
 def groups() -> dict[str, list[str]]:
-    """Rooms and presets, and the levels of each: this package's and then those of others.
+    """Rooms and presets, and the levels of each: this package's, then those of plugins.
 
     A file whose name begins with `_` is no level: it holds what several of them share.
     """
@@ -53,7 +53,7 @@ def level_file(group: str, level: str) -> Path:
 
 
 def read_level(room: str, level: str) -> dict[str, Any]:
-    """What the yaml of a level says, with what it shares with others of its room."""
+    """The keys of a level's yaml, those it shares with other levels of its room included."""
     values = load_yaml(level_file(room, level))
     shared = [read_level(room, name) for name in values.pop("defaults", []) if name != "_self_"]
     return {key: value for section in [*shared, values] for key, value in section.items()}
@@ -66,11 +66,11 @@ def is_target(room: str, target: str) -> bool:
     return any(read_level(room, level).get("_target_") == target for level in levels)
 
 
-def why_not_of_room(target: object, room: str) -> str | None:
-    """Why a `_target_` may not stand in a room's section; None where it may.
+def problem_of_target(target: object, room: str) -> str | None:
+    """What is wrong with a `_target_` in a room's section; None where it is valid.
 
-    It is the class that a yaml file of the room names, of ours or of a plugin: a config may come
-    from a stranger, and calls nothing else.
+    Valid is a class that a yaml file of the room names, ours or a plugin's: a config may come from
+    an untrusted source, and nothing else is ever called.
     """
     if isinstance(target, str) and is_target(room, target):
         return None
@@ -84,7 +84,7 @@ def why_not_of_room(target: object, room: str) -> str | None:
 
 
 def plugin_of(group: str, level: str) -> str | None:
-    """The plugin that brings a level or preset; None of this package's own."""
+    """The plugin that provides a level or preset; None for this package's own."""
     for package in packages()[1:]:
         if (package.conf / group / f"{level}.yaml").is_file():
             return package.name
@@ -92,13 +92,13 @@ def plugin_of(group: str, level: str) -> str | None:
 
 
 def level_of(target: str) -> str:
-    """The level that a `_target_` makes: of this package by its module, of a plugin by its yaml."""
+    """The level of a `_target_`: by its module in this package, by its yaml in a plugin."""
     package = package_of(target)
     if package is None or package == own():
         return target.split(".")[2]
     for room, levels in rooms().items():
         for level in levels:
-            brought = plugin_of(room, level) == package.name
-            if brought and read_level(room, level).get("_target_") == target:
+            provided = plugin_of(room, level) == package.name
+            if provided and read_level(room, level).get("_target_") == target:
                 return level
     raise BadInput(f"{target!r} is no level of the plugin {package.name}")

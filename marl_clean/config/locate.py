@@ -1,7 +1,7 @@
 """Where levels come from: this package, and the plugins that a user installed or named.
 
-A plugin is a package of somebody else's with a folder `conf/` in it, laid out as ours. Nothing of
-it is imported here: entry points, folders and files are looked at, and no more.
+A plugin is another package with a folder `conf/` in it, laid out as ours. Nothing of it is
+imported here: only entry points, folders and files are looked at.
 """
 
 import re
@@ -39,18 +39,18 @@ def own() -> Package:
 
 
 def packages() -> tuple[Package, ...]:
-    """Every package whose levels may be taken, this one first.
+    """Every package whose levels may be used, this one first.
 
-    Raises BadInput where a plugin has a level of a name that is taken.
+    Raises BadInput where a plugin has a level whose name is already in use.
     """
     by_name = {package.name: package for package in (own(), *_installed(), *_named.values())}
     return _disjoint(tuple(by_name.values()))
 
 
 def use_plugins(names: Sequence[str]) -> None:
-    """Let levels of these packages be taken too, from now on in this process.
+    """Make the levels of these packages available, from now on in this process.
 
-    Raises BadInput where there is no such package, or it is no plugin.
+    Raises BadInput where there is no such package, or it is not a plugin.
     """
     if isinstance(names, str):
         raise BadInput(f"plugins: give a list, such as [{names!r}]")
@@ -60,7 +60,7 @@ def use_plugins(names: Sequence[str]) -> None:
 
 @contextmanager
 def plugins_in_use(names: Sequence[str]) -> Iterator[None]:
-    """Let levels of these packages be taken too, as long as the context lasts."""
+    """Make the levels of these packages available, as long as the context lasts."""
     before = dict(_named)
     try:
         use_plugins(names)
@@ -71,12 +71,12 @@ def plugins_in_use(names: Sequence[str]) -> Iterator[None]:
 
 
 def named_plugins() -> list[str]:
-    """The plugins that the user named, for other processes to name them too."""
+    """The plugins that the user named, to be passed on to other processes."""
     return list(_named)
 
 
 def package_of(module: str) -> Package | None:
-    """The package of ours or of a plugin that a module belongs to; None of anybody else's."""
+    """The package, ours or a plugin's, that a module belongs to; None for any other module."""
     for package in packages():
         if f"{module}.".startswith(f"{package.name}."):
             return package
@@ -84,7 +84,7 @@ def package_of(module: str) -> Package | None:
 
 
 def file_of(module: str) -> Path | None:
-    """The file of a module of one of the packages; None of anybody else's, or of none at all."""
+    """The file of a module of one of the packages; None for any other module, or without a file."""
     package = package_of(module)
     if package is None:
         return None
@@ -124,7 +124,7 @@ def _plugin(name: str) -> Package:
 
 
 def _folders_of(name: str) -> list[Path]:
-    """The folders of a package, found without importing it or those that it lies in."""
+    """The folders of a package, located without importing it or its parents."""
     first, *inner = name.split(".")
     try:
         spec = find_spec(first)

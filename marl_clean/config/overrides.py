@@ -7,13 +7,13 @@ from marl_clean.config.levels import PRESETS, SEVERAL, groups
 from marl_clean.config.schema import choices
 from marl_clean.errors import BadInput
 
-WEIGHTS = "weights"  # of the root; not the user's to set
+WEIGHTS = "weights"  # of the root; not set by users
 
 
-def parse_overrides(overrides: Sequence[str], hydra_too: bool = False) -> list[Override]:
-    """The settings, read one by one; with and without the `+` a preset is the same.
+def parse_overrides(overrides: Sequence[str], allow_hydra: bool = False) -> list[Override]:
+    """The settings, read one by one; a preset is the same with and without its `+`.
 
-    Raises BadInput on one that is no KEY=VALUE, adds or deletes a key, or names no level.
+    Raises BadInput on a setting that is not KEY=VALUE, adds or deletes a key, or names no level.
     """
     if isinstance(overrides, str):
         raise BadInput(f"{overrides!r} is one text; give a list of settings: [{overrides!r}]")
@@ -27,7 +27,7 @@ def parse_overrides(overrides: Sequence[str], hydra_too: bool = False) -> list[O
         except NotPlain:
             reason = "keys are not added, moved or deleted; write KEY=VALUE"
             raise BadInput(f"{text!r}: {reason}") from None
-        if override.of_hydra and not hydra_too:
+        if override.of_hydra and not allow_hydra:
             raise BadInput(f"{override.key}: Hydra's own settings are for `train -m`")
         if override.key == WEIGHTS:
             raise BadInput(f"{WEIGHTS}: must be left out; `train checkpoint=RUN` fills it in")
@@ -36,8 +36,8 @@ def parse_overrides(overrides: Sequence[str], hydra_too: bool = False) -> list[O
     return parsed
 
 
-def one_value_each(parsed: Sequence[Override]) -> None:
-    """Raises BadInput where a setting has several values, as a sweep's have."""
+def check_single_values(parsed: Sequence[Override]) -> None:
+    """Raises BadInput where a setting has several values, as in a sweep."""
     if sweeping := [override.key for override in parsed if override.is_sweep]:
         raise BadInput(f"{sweeping[0]}: several values are for `train -m` alone; give one")
 
@@ -59,7 +59,7 @@ def _check_level(override: Override) -> None:
 
 
 def _unreadable(text: str) -> str:
-    """The message for a setting that is none, or whose value needs quotes."""
+    """The message for a text that is not a setting, or whose value needs quotes."""
     key, equals, value = text.partition("=")
     if not key.strip() or not equals:
         return f"{text!r} is not a setting; write KEY=VALUE, such as seed=1"

@@ -1,7 +1,7 @@
-"""What a preset says, apart from any config: to set it on top of a config that has no defaults.
+"""What a preset sets, read without composing a config.
 
-Hydra composes presets with the defaults of `conf/`. On top of an earlier run's config a preset
-must change what it names and nothing else.
+Hydra composes presets with the defaults of `conf/`. On top of an earlier run's config, which has
+no defaults, a preset must change what it names and nothing else.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ OVERRIDE = "override /"
 def read_preset(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """The level of each room that a preset's yaml chooses, and the values it sets, in their order.
 
-    Presets that it builds on come first, as in Hydra; they are of its own folder.
+    Presets that it builds on come first, as in Hydra; they lie in the same folder.
     """
     values = load_yaml(path)
     values.pop("hydra", None)  # how it is swept
@@ -32,9 +32,9 @@ def read_preset(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 
 
 def sweep_of(path: Path) -> dict[str, str]:
-    """The values that a preset sweeps its keys over: its `hydra.sweeper.params`, in Hydra's words.
+    """The values that a preset sweeps its keys over: its `hydra.sweeper.params`, as texts.
 
-    Those of presets that it builds on count too, where it says nothing else.
+    Sweeps of presets that it builds on are included, unless it overrides them.
     """
     values = load_yaml(path)
     swept: dict[str, str] = {}

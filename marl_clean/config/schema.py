@@ -1,4 +1,4 @@
-"""Whether the values of a config's sections are what their constructors take."""
+"""Whether the values of a config's sections are what their constructors accept."""
 
 import difflib
 import importlib
@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from pydantic import TypeAdapter, ValidationError
 
 from marl_clean.config.class_source import parameters, records
-from marl_clean.config.levels import why_not_of_room
+from marl_clean.config.levels import problem_of_target
 from marl_clean.config.type_words import describe, options
 from marl_clean.errors import BadInput
 
@@ -28,7 +28,7 @@ class Problem:
 def problems_of_level(section: Mapping[str, Any], key: str, room: str) -> Iterator[Problem]:
     """Everything wrong with one level's section, such as `comm` or `logger.csv`."""
     target = section.get("_target_")
-    if (reason := why_not_of_room(target, room)) is not None:
+    if (reason := problem_of_target(target, room)) is not None:
         yield Problem(f"{key}._target_", reason)
         return
     assert isinstance(target, str)
@@ -37,34 +37,34 @@ def problems_of_level(section: Mapping[str, Any], key: str, room: str) -> Iterat
     except BadInput as error:
         yield Problem(f"{key}._target_", str(error))
         return
-    given = {name: value for name, value in section.items() if name != "_target_"}
+    values = {name: value for name, value in section.items() if name != "_target_"}
     required = [name for name, parameter in accepted.items() if parameter.required]
     types_ = {name: parameter.annotation for name, parameter in accepted.items()}
-    yield from problems_of_mapping(given, types_, f"{key}.", required)
+    yield from problems_of_mapping(values, types_, f"{key}.", required)
 
 
 def problems_of_mapping(
-    given: Mapping[str, Any], accepted: Mapping[str, Any], prefix: str, required: Iterable[str]
+    values: Mapping[str, Any], accepted: Mapping[str, Any], prefix: str, required: Iterable[str]
 ) -> Iterator[Problem]:
-    """Everything wrong with `given`, whose keys must have the types in `accepted`."""
-    for name, value in given.items():
+    """Everything wrong with `values`, whose keys must have the types in `accepted`."""
+    for name, value in values.items():
         if name not in accepted:
             yield Problem(f"{prefix}{name}", f"no such key; {choices(str(name), accepted)}")
         elif reason := mismatch(value, accepted[name]):
             yield Problem(f"{prefix}{name}", reason)
     for name in required:
-        if name not in given:
+        if name not in values:
             yield Problem(f"{prefix}{name}", f"is missing; needs {describe(accepted[name])}")
 
 
 def mismatch(value: Any, annotation: Any) -> str | None:
-    """Why `value` is not an `annotation`, in a few words; None when it is one."""
+    """Why `value` is not an `annotation`, in a few words; None when it is."""
     try:
         convert(value, annotation)
     except ValidationError as error:
-        said = [e["msg"] for e in error.errors() if e["type"] == "value_error"]
-        if said:
-            return said[0].removeprefix("Value error, ")
+        messages = [e["msg"] for e in error.errors() if e["type"] == "value_error"]
+        if messages:
+            return messages[0].removeprefix("Value error, ")
         reason = f"must be {describe(annotation)}, not {json.dumps(value)[:80]}"
         close = difflib.get_close_matches(str(value), list(options(annotation)), n=1)
         return f"{reason}; did you mean {close[0]}?" if close else reason
@@ -83,7 +83,7 @@ def instantiate(section: DictConfig, **parts: Any) -> Any:
     """What a section describes: its `_target_`, called with its values and with `parts`.
 
     Values arrive as what the constructor declares: an Enum for its name, a list for a list.
-    A part of the same name takes a value's place. Fields of a record are gathered into it.
+    A part replaces a value of the same name. Fields of a record are gathered into it.
     """
     values = OmegaConf.to_container(section, resolve=True)
     assert isinstance(values, dict)

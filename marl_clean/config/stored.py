@@ -36,13 +36,13 @@ CONFIG = "config.yaml"
 LONGEST_PART, LONGEST_PATH = 255, 4000  # characters of a file's name and path
 WEIGHTS = "weights"
 NETWORK = ("observation", "encoder", "comm", "agent", "parameter_budget")
-# Of these rooms, but any weights play with them.
+# Keys of these rooms that change no network: any weights run with them.
 SAME_NETWORK = ("observation.position_noise", "agent.mask_walls", "agent.play")
 BESIDE_THE_WEIGHTS = ("encoder.dropout", "encoder.channels_last")  # how they learn, or are stored
 
 
 def compose_for_policy(overrides: Sequence[str]) -> DictConfig:
-    """The config of `checkpoint`'s run with `overrides` on top; without one, the default's.
+    """The config of `checkpoint`'s run with `overrides` on top; without one, the default config.
 
     Raises BadInput when there is no such run, its config is not one of ours, or an override
     would change the network whose weights it holds.
@@ -62,10 +62,10 @@ def compose_for_policy(overrides: Sequence[str]) -> DictConfig:
 def compose_for_training(overrides: Sequence[str]) -> DictConfig:
     """What to train: the default config with `overrides`, or that of `checkpoint`'s run.
 
-    The run is named by a setting, or by a preset. Of it everything is taken over that presets and
-    settings do not change, and training starts from its weights: which they are is written down
-    in the config, so that other weights make another run. Settings of learning may change, those
-    of the network may not.
+    The run is named by a setting, or by a preset. Its config is kept where presets and settings do
+    not change it, and training starts from its weights, whose hash is written into the config so
+    that other weights make another run. Settings of learning may change, those of the network may
+    not.
 
     Raises BadInput as `compose_for_policy` does, and for a run that has no weights yet.
     """
@@ -84,22 +84,22 @@ def parsed_for_training(parsed: Sequence[Override]) -> DictConfig:
     stored = load_config(folder)
     wanted = apply({**stored, "name": None, "out": None}, parsed)
     _check_fits(stored, wanted, run, learning_may_change=True)
-    found = {"checkpoint": str(folder), "weights": weights_sha256(folder)}
-    return checked({**wanted, **found}, parsed)
+    start = {"checkpoint": str(folder), "weights": weights_sha256(folder)}
+    return checked({**wanted, **start}, parsed)
 
 
 def _checkpoint_in(parsed: Sequence[Override]) -> str | None:
     """The run that the settings name, the last of several."""
-    given = [override.value for override in parsed if override.key == "checkpoint"]
-    return None if not given or given[-1] is None else str(given[-1])
+    runs = [override.value for override in parsed if override.key == "checkpoint"]
+    return None if not runs or runs[-1] is None else str(runs[-1])
 
 
 def _check_fits(
     stored: dict[str, Any], wanted: dict[str, Any], run: str, learning_may_change: bool = False
 ) -> None:
-    """Raises BadInput where `wanted` has another network than the run's weights are of.
+    """Raises BadInput where the network of `wanted` is not that of the run's weights.
 
-    A learner's class says in `sized_by` which keys of the env its network depends on.
+    A learner's class lists in `sized_by` which keys of the env its network depends on.
     """
     sized_by = constant(stored["agent"]["_target_"], "sized_by") or []
     for room in (*NETWORK, "env"):
@@ -150,10 +150,10 @@ def find_run(run: str) -> Path:
 
 
 def load_config(folder: Path) -> dict[str, Any]:
-    """The checked config of the run in `folder`; it may come from a stranger.
+    """The checked config of the run in `folder`; it may come from an untrusted source.
 
-    Keys that came later than the run have the values of their level's yaml, which are what was
-    before there was a key.
+    Keys added after the run have the values of their level's yaml, which reproduce what was before
+    there was a key.
 
     Raises BadInput when it is not a config of this package: other keys or types, classes from
     elsewhere, or `${...}`, which could read this machine's environment.
@@ -173,15 +173,15 @@ def load_config(folder: Path) -> dict[str, Any]:
 
 
 def _completed(plain: dict[str, Any]) -> dict[str, Any]:
-    """The config with the keys that it may leave out: those with a default, or null at the root."""
+    """The config with its missing optional keys: those with a default, or null at the root."""
     types = get_type_hints(Root, include_extras=True)
     whole = {**{key: None for key in types if mismatch(None, types[key]) is None}, **plain}
     whole = {"channel": PERFECT, **whole}
-    measured = whole.get("evaluation")
-    if isinstance(measured, dict):
+    evaluation = whole.get("evaluation")
+    if isinstance(evaluation, dict):
         default = load_yaml(conf_folder() / "config.yaml")["evaluation"]
         whole["evaluation"] = {key: default[key] for key in get_type_hints(LaterEvaluation)}
-        whole["evaluation"] |= measured
+        whole["evaluation"] |= evaluation
     for room in rooms():
         section = plain.get(room)
         if not isinstance(section, dict):
@@ -200,10 +200,9 @@ def check_same_run(config: DictConfig, folder: Path) -> None:
     if not (folder / CONFIG).is_file():
         return
     stored = load_config(folder)
-    mine = {str(key): value for key, value in config.items()}
     if config_hash(DictConfig(stored)) == config_hash(config):
         return
-    for room in mine:
+    for room in map(str, config):
         for key, old, new in _differences(stored.get(room), config[room], room):
             if key != "name":
                 raise BadInput(

@@ -12,7 +12,7 @@ from marl_clean import cli
         (["channel=quantised", "channel.quantised.bits=0"], "channel.quantised.bits: must be a"),
         (["channel=[lossy,fog]"], "channel=[lossy,fog]: no such level; valid: budget, delayed"),
         (["channel=[delayed,delayed]"], "channel=[delayed,delayed]: names a level twice"),
-        (["channel.lossy.loss=0.5"], "lossy is not in channel=[perfect]; take it, as in channel=["),
+        (["channel.lossy.loss=0.5"], "lossy is not in channel=[perfect]; add it, as in channel=["),
         (
             ["channel=delayed", "channel.delayed.steps=9"],
             "trainer.window_frames: 8 frames in a row, but what is learnt goes 9 steps back",

@@ -72,5 +72,5 @@ def test_a_global_map_refuses_a_larger_house_before_it_is_played() -> None:
 
 def test_what_is_no_square_is_not_turned() -> None:
     config = compose_config([*settings_of("distances"), "agent.augment=true", "env.n_agents=3"])
-    with pytest.raises(BadInput, match=r"agent\.augment=true: turns squares"):
+    with pytest.raises(BadInput, match=r"agent\.augment=true: rotates squares"):
         make_agent(config, make_env(config, HOUSES, num_envs=2))
