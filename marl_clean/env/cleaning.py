@@ -260,7 +260,9 @@ class CleaningEnv(Compiling):
         if {name: value.shape for name, value in tensors.items()} != shapes:
             raise BadInput("env state: sizes or names differ from this env's; same config needed")
         self._set_seed(int(state_dict["seed"]))
-        self.state = State(**{name: value.clone() for name, value in tensors.items()})
+        self.state = State(
+            **{name: value.to(self.device, copy=True) for name, value in tensors.items()}
+        )
         self._started = bool(state_dict["started"])
         self.open_houses(int(state_dict["num_open"]))
 

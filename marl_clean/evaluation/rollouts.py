@@ -28,15 +28,17 @@ def act(policy: nn.Module, td: TensorDictBase, playing: Bool[Tensor, " env"]) ->
 
     A planner reads its env and plans for all of them.
     """
-    if isinstance(policy, Planner) or playing.all():
+    if isinstance(policy, Planner):
         return policy(td)
-    some = policy(td[playing])
+    rows = playing.nonzero()[:, 0]
+    if len(rows) == len(playing):
+        return policy(td)
+    some = policy(td[rows])
     for key in (ACTION, MESSAGE_EDGES, MESSAGE_BITS, *_carried(policy)):
         value = some.get(key, None)  # not every policy sends messages
         if value is not None:
             whole = value.new_zeros((len(playing), *value.shape[1:]))
-            whole[playing] = value
-            td[key] = whole
+            td[key] = whole.index_copy_(0, rows, value)
     return td
 
 

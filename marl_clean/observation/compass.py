@@ -128,9 +128,14 @@ class Compass(Observation):
         offset = offsets(state.position) - (centre - state.position)[:, :, None]
         distance = walking_distance(passable, unknown | is_known_uncleaned(record))
         nearer, own_distance = shorter_ways(distance, cell)
-        mine = first_steps(passable, unknown, cell, others, visible)
-        alone = torch.zeros_like(visible)
-        onward = first_steps(passable, unknown & ~likely_wall(blocked), cell, others, alone)
+        ways, lengths = first_steps(  # both searches as one, which waits half as often
+            torch.cat([passable, passable]),
+            torch.cat([unknown, unknown & ~likely_wall(blocked)]),
+            cell.repeat(2, 1),
+            others.repeat(2, 1),
+            torch.cat([visible, torch.zeros_like(visible)]),
+        )
+        searched = zip(ways.chunk(2), lengths.chunk(2), strict=True)
         square = self._square(state, setup, centre, distance, own_distance)
         blocks = []
         for side in BLOCK_CELLS:
@@ -147,7 +152,7 @@ class Compass(Observation):
             *(beside(plane) for plane in (square[1], square[0])),
             how_far(own_distance),
             nearest_robot(offset, visible),
-            *(part for ways, length in (mine, onward) for part in (ways.float(), how_far(length))),
+            *(part for ways, length in searched for part in (ways.float(), how_far(length))),
         ]
         return torch.cat([*(plane.flatten(2) for plane in (*square, *blocks)), *further], -1)
 

@@ -4,6 +4,8 @@ On a CPU a search is machine code that visits a cell once; elsewhere a flood, wh
 over all cells of all grids at once. Both give the same numbers.
 """
 
+from itertools import count
+
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
@@ -76,12 +78,12 @@ def flood(
     distance = torch.where(sources, 0, UNREACHABLE).to(torch.int32)
     wave = sources
     unreached = passable & ~sources
-    steps = 0
-    while steps % STEPS_BETWEEN_LOOKS or wave.any():
-        steps += 1
+    for steps in count(1):
         wave = neighbours(wave, False).any(0) & unreached
         unreached = unreached & ~wave
         distance = torch.where(wave, steps, distance)
+        if steps % STEPS_BETWEEN_LOOKS == 0 and not wave.any():
+            break
     return distance
 
 
@@ -105,13 +107,11 @@ def flood_first_steps(
     own = own.unflatten(-1, (height, width))
     # Which of a robot's first steps its wave came by, [4, env, agent, height, width]. A cell whose
     # lower neighbour is the start was entered by a step up, and so on.
-    mine = neighbours(own, False)[[2, 3, 0, 1]]
+    mine = neighbours(own, False).roll(2, 0)
     open_cells, reached = passable | goals, wave
     ways = torch.zeros((*start.shape, 4), dtype=torch.bool, device=start.device)
     lengths = torch.full(start.shape, UNREACHABLE, dtype=torch.int32, device=start.device)
-    steps = 0
-    while steps % STEPS_BETWEEN_LOOKS or (wave.flatten(2).any(-1) & (lengths == UNREACHABLE)).any():
-        steps += 1
+    for steps in count(1):
         onward = wave if steps == 1 else wave & passable
         fresh = neighbours(onward, False).any(0) & open_cells & ~reached
         came_by = mine if steps == 1 else neighbours(mine & passable, False).any(0)
@@ -121,6 +121,10 @@ def flood_first_steps(
         first = at_goal.any(-1) & (lengths == UNREACHABLE)
         ways |= at_goal & first[..., None]
         lengths = torch.where(first, steps, lengths)
+        if steps % STEPS_BETWEEN_LOOKS:
+            continue
+        if not (wave.flatten(2).any(-1) & (lengths == UNREACHABLE)).any():
+            break
     return ways, lengths
 
 

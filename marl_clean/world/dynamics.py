@@ -40,8 +40,10 @@ class Outcome(NamedTuple):
 
 
 def moves_on(device: torch.device) -> Int[Tensor, "4 2"]:
-    """Return MOVES as a tensor."""
-    return torch.tensor(MOVES, device=device)
+    """Return MOVES as a tensor, made on the device: a copy of a list would be waited for."""
+    action = torch.arange(len(MOVES), device=device)
+    sideways = action % 2
+    return torch.stack([(action - 1) * (1 - sideways), (2 - action) * sideways], -1)
 
 
 def advance_(
