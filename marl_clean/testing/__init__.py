@@ -1,18 +1,18 @@
-"""The contracts of the rooms: what a level must hold, whoever wrote it.
+"""The contracts of the rooms: what every level must hold, ours or a plugin's.
 
     from marl_clean.testing import check_comm
 
     def test_my_scheme() -> None:
         check_comm("my_scheme", message_dim=8)
 
-    def test_one_of_a_plugin_that_is_not_installed() -> None:
+    def test_a_level_of_a_plugin_that_is_not_installed() -> None:
         use_plugins(["my_package"])
         check_house("my_house")
 
-Each function takes a level by name, as on the command line, or by its class, and settings of it.
+Each function takes a level by name, as on the command line, or by its class, and its settings.
 It returns nothing where the contract holds, and raises `ContractBroken` with what is broken and on
-which numbers. What a contract asks is listed as `CLAUSES` in the room's module here; each clause
-is a function whose docstring is the promise. No contract knows a level of ours.
+which numbers. The requirements are listed as `CLAUSES` in the room's module here; each clause is a
+function whose docstring is the promise. No contract names a level of ours.
 """
 
 from marl_clean.config.locate import use_plugins

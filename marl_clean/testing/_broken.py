@@ -1,4 +1,4 @@
-"""The error that a broken contract raises, and how a level is held against its clauses."""
+"""The error that a broken contract raises, and how a level is checked against its clauses."""
 
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -9,8 +9,8 @@ from torch import Tensor
 from marl_clean.errors import BadInput
 
 Clause = Callable[[Any], None]
-"""One promise of a room: takes what it is held against, raises ContractBroken; its docstring's
-first line is the promise."""
+"""One promise of a room: takes the level under test, raises ContractBroken; its docstring's first
+line is the promise."""
 
 
 class ContractBroken(AssertionError):
@@ -18,11 +18,11 @@ class ContractBroken(AssertionError):
 
 
 def verify(label: str, clauses: Iterable[Clause], subject: Any) -> None:
-    """Hold a level against every clause, in order.
+    """Check a level against every clause, in order.
 
     Raises:
-        ContractBroken: the first clause that does not hold. Whatever else the level raises, such
-            as an error of shapes, breaks the clause that met it. `BadInput` passes as it is.
+        ContractBroken: the first clause that does not hold. Any other error of the level, such as
+            one of shapes, breaks the clause that raises it. `BadInput` is passed on.
     """
     for clause in clauses:
         try:
@@ -31,7 +31,7 @@ def verify(label: str, clauses: Iterable[Clause], subject: Any) -> None:
             raise ContractBroken(f"{label}: {broken}") from None
         except BadInput:
             raise
-        except Exception as error:  # of somebody else's code: anything may come
+        except Exception as error:  # a plugin's code may raise anything
             reason = (str(error).strip() or "no message").splitlines()[0]
             promise = (clause.__doc__ or clause.__name__).splitlines()[0].rstrip(".")
             raise ContractBroken(
@@ -45,42 +45,44 @@ def require(holds: bool | Tensor, broken: str) -> None:
         raise ContractBroken(broken)
 
 
-def require_equal(mine: Tensor, other: Tensor, broken: str) -> None:
-    """Raise ContractBroken, with the numbers, unless two tensors are the same to the bit."""
-    _require_alike(mine, other, broken)
-    if not torch.equal(mine, other):
-        raise ContractBroken(f"{broken}: {_first(mine, other, mine != other)}")
+def require_equal(result: Tensor, expected: Tensor, broken: str) -> None:
+    """Raise ContractBroken, with the numbers, unless two tensors are equal to the bit."""
+    _require_same_form(result, expected, broken)
+    if not torch.equal(result, expected):
+        raise ContractBroken(f"{broken}: {_first(result, expected, result != expected)}")
 
 
-def require_close(mine: Tensor, other: Tensor, broken: str, tolerance: float | None = None) -> None:
-    """Raise ContractBroken, with the numbers, unless two tensors are the same but for rounding.
+def require_close(
+    result: Tensor, expected: Tensor, broken: str, tolerance: float | None = None
+) -> None:
+    """Raise ContractBroken, with the numbers, unless two tensors are equal up to rounding.
 
-    `tolerance` is absolute; without one it is that of the dtype.
+    `tolerance` is absolute; by default it depends on the dtype.
     """
-    _require_alike(mine, other, broken)
-    if not mine.is_floating_point():
-        require_equal(mine, other, broken)
+    _require_same_form(result, expected, broken)
+    if not result.is_floating_point():
+        require_equal(result, expected, broken)
         return
     if tolerance is not None:
-        close = torch.isclose(mine, other, rtol=0.0, atol=tolerance)
-    elif mine.dtype == torch.float64:
-        close = torch.isclose(mine, other, rtol=1e-7, atol=1e-7)
+        close = torch.isclose(result, expected, rtol=0.0, atol=tolerance)
+    elif result.dtype == torch.float64:
+        close = torch.isclose(result, expected, rtol=1e-7, atol=1e-7)
     else:
-        close = torch.isclose(mine, other, rtol=1.3e-6, atol=1e-5)
+        close = torch.isclose(result, expected, rtol=1.3e-6, atol=1e-5)
     if not close.all():
-        raise ContractBroken(f"{broken}: {_first(mine, other, ~close)}")
+        raise ContractBroken(f"{broken}: {_first(result, expected, ~close)}")
 
 
-def _require_alike(mine: Tensor, other: Tensor, broken: str) -> None:
-    if mine.shape != other.shape or mine.dtype != other.dtype:
-        kinds = (f"{x.dtype} {list(x.shape)}" for x in (mine, other))
+def _require_same_form(result: Tensor, expected: Tensor, broken: str) -> None:
+    if result.shape != expected.shape or result.dtype != expected.dtype:
+        kinds = (f"{x.dtype} {list(x.shape)}" for x in (result, expected))
         raise ContractBroken(f"{broken}: {' is not '.join(kinds)}")
 
 
-def _first(mine: Tensor, other: Tensor, differs: Tensor) -> str:
-    """The first place where two tensors differ, and what stands there."""
+def _first(result: Tensor, expected: Tensor, differs: Tensor) -> str:
+    """The first index at which two tensors differ, and the values there."""
     if differs.ndim == 0:
-        return f"{mine.item()}, not {other.item()}"
+        return f"{result.item()}, not {expected.item()}"
     place = tuple(differs.nonzero()[0].tolist())
     count = f"{int(differs.sum())} of {differs.numel()} numbers differ"
-    return f"at {list(place)} {mine[place].item()}, not {other[place].item()} ({count})"
+    return f"at {list(place)} {result[place].item()}, not {expected[place].item()} ({count})"

@@ -1,4 +1,4 @@
-"""Features of robots and graphs between them, and what must not cross those."""
+"""Features of robots and graphs between them, and what must not cross these."""
 
 import torch
 from jaxtyping import Bool
@@ -12,7 +12,7 @@ FEATURES = 12
 def draw(
     *batch: int, n_agents: int, share: float = 0.5, seed: int = 0
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return features, a graph of so many live edges, and ranks by distance of random places."""
+    """Return features, a graph with this share of live edges, and ranks by distance."""
     generator = torch.Generator().manual_seed(seed)
     rand = torch.rand(*batch, n_agents, n_agents, generator=generator)
     live = (rand < share).triu(1)
@@ -31,13 +31,13 @@ def line(length: int) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def within(live: Tensor, rounds: int) -> Bool[Tensor, "..."]:
-    """Tell whether j is i itself or at most so many live edges away."""
+    """Whether j is i itself or at most `rounds` live edges away."""
     itself = torch.eye(live.shape[-1], dtype=torch.float64).expand(live.shape)
     return torch.linalg.matrix_power(itself + live, rounds) > 0
 
 
 def require_unheard(after: Tensor, before: Tensor, reach: Tensor, sender: int, what: str) -> None:
-    """Raise ContractBroken where a robot that `sender` does not reach has another result."""
+    """Raise ContractBroken where the result of a robot that `sender` does not reach changes."""
     wrong = (after != before).any(-1) & ~reach[..., sender]
     if wrong.any():
         place = tuple(wrong.nonzero()[0].tolist())

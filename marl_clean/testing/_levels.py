@@ -21,10 +21,10 @@ Level = str | type
 
 @dataclass(frozen=True)
 class Maker:
-    """Makes a level again and again, with what its room hands over in code.
+    """Builds any number of objects of a level, with the parts that its room passes in code.
 
     Attributes:
-        label: what the level is called in messages, such as `comm=plan`.
+        label: the level's name in messages, such as `comm=plan`.
         level: its class.
         build: from keyword arguments to a new object.
     """
@@ -34,22 +34,22 @@ class Maker:
     build: Callable[..., Any]
 
     def __call__(self, **parts: Any) -> Any:
-        """Return a new object; parts that the constructor does not ask for are left out."""
+        """Return a new object; parts that the constructor has no parameter for are left out."""
         return self.build(**{name: part for name, part in parts.items() if self.takes(name)})
 
     def takes(self, name: str) -> bool:
-        """Tell whether the constructor has a parameter of this name."""
+        """Whether the constructor has a parameter of this name."""
         return name in _parameters(self.level)
 
     def constant(self, name: str) -> Any:
-        """Return what the class sets a name to, None where it says nothing."""
+        """Return the value that the class gives a name, None where it has none."""
         return getattr(self.level, name, None)
 
 
 def maker(room: str, level: Level, settings: Mapping[str, Any]) -> Maker:
-    """Return how a level is made: its yaml's values, or none of a class, and `settings` on top.
+    """Return the maker of a level: its yaml's values (none for a class), and `settings` on top.
 
-    A plugin's level has a name where the plugin is installed, or named by `use_plugins`.
+    A plugin's level has a name where the plugin is installed or named by `use_plugins`.
 
     Raises:
         BadInput: no such level, or a setting that it does not take.
@@ -65,24 +65,24 @@ def maker(room: str, level: Level, settings: Mapping[str, Any]) -> Maker:
     for problem in schema.problems_of_level(container(changed), key, room):
         raise BadInput(f"{problem.key}: {problem.reason}")
     module, _, class_name = str(section["_target_"]).rpartition(".")
-    of_name = getattr(importlib.import_module(module), class_name)
-    return Maker(label, of_name, lambda **parts: schema.instantiate(changed, **parts))
+    level_class = getattr(importlib.import_module(module), class_name)
+    return Maker(label, level_class, lambda **parts: schema.instantiate(changed, **parts))
 
 
 @cache
 def level_section(room: str, level: str) -> DictConfig:
-    """Return a level's values by its yaml; kept, since composing takes longer than a clause."""
+    """Return a level's values by its yaml; cached, since composing takes longer than a clause."""
     composed = compose_config([f"{room}=[{level}]" if room in SEVERAL else f"{room}={level}"])
     return composed[room][level] if room in SEVERAL else composed[room]
 
 
 def _parameters(level: type) -> set[str]:
-    """The names that a constructor takes, those that it hands to its bases' by **kwargs too."""
+    """The names of a constructor's parameters, those passed on to its bases by **kwargs too."""
     names: set[str] = set()
     for base in level.__mro__:
         if "__init__" in vars(base):
-            given = inspect.signature(vars(base)["__init__"]).parameters.values()
-            names |= {parameter.name for parameter in given}
-            if all(parameter.kind is not parameter.VAR_KEYWORD for parameter in given):
+            parameters = inspect.signature(vars(base)["__init__"]).parameters.values()
+            names |= {parameter.name for parameter in parameters}
+            if all(parameter.kind is not parameter.VAR_KEYWORD for parameter in parameters):
                 break
     return names - {"self"}

@@ -1,4 +1,4 @@
-"""The scheme that channels are tried with, and the steps in which it talks."""
+"""The scheme that channels are tested with, and the steps in which it talks."""
 
 from typing import NamedTuple, final
 
@@ -12,7 +12,7 @@ from marl_clean.testing._graphs import FEATURES, draw
 
 @final
 class Talkers(Comm):
-    """The scheme that channels are tried with: it hears a sum, in as many rounds as widths.
+    """The scheme that channels are tested with: it sums what it hears, one round for each width.
 
     m_j = M h_j,    h'_i = tanh(A h_i + B sum over live edges of m_j), or of g m_j with a gate g
     """

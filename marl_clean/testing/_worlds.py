@@ -1,4 +1,4 @@
-"""Small worlds for the contracts to play in: no level of any room but the one in question."""
+"""Small worlds for the contracts, with no level of any room except the one under test."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ N_AGENTS = 3
 @final
 @dataclass(frozen=True)
 class Scattered(House):
-    """Blocked cells at random places; the largest region stays."""
+    """Blocked cells at random places; the largest free region is kept."""
 
     generated: ClassVar[bool] = True
 
@@ -80,11 +80,11 @@ def make_worlds(
     torchrl: bool = False,
     **changes: Any,
 ) -> TransformedEnv:
-    """Return worlds under transforms, the topology `Near` among them where none is given.
+    """Return worlds under transforms, with the topology `Near` where they contain none.
 
-    World i plays house i. With `torchrl` a step is made by TorchRL's own method.
+    World i has house i. With `torchrl` a step is made by TorchRL's own method.
     """
-    topologies = [one for one in transforms if isinstance(one, Topology)]
+    topologies = [t for t in transforms if isinstance(t, Topology)]
     topology = topologies[0] if topologies else Near()
     env = instantiate(
         config(*settings).env,
@@ -103,6 +103,6 @@ def make_worlds(
 
 
 def drawn_actions(steps: int, num_envs: int, n_agents: int = N_AGENTS) -> Tensor:
-    """Return actions to play, `[step, env, agent]`."""
+    """Return random actions, `[step, env, agent]`."""
     generator = torch.Generator().manual_seed(7)
     return torch.randint(4, (steps, num_envs, n_agents), generator=generator)

@@ -33,12 +33,12 @@ SMALL = (
 )
 
 
-SHOWN_MORE = ("mask_walls", "critic", "play")
-"""Settings of learners by which an env shows more."""
+SETTINGS_OF_THE_ENV = ("mask_walls", "critic", "play")
+"""Settings of learners that add entries to the env's frames."""
 
 
 class Learner(NamedTuple):
-    """How a level is made for the contract: with which scheme, in which worlds."""
+    """A level's maker for the contract, and the config of the scheme and the worlds around it."""
 
     make: Maker
     config: DictConfig
@@ -47,16 +47,16 @@ class Learner(NamedTuple):
 def check_agent(
     level: Level, *, comm: str | None = None, others: Sequence[str] = (), **settings: Any
 ) -> None:
-    """A learner acts validly, learns from what it played, and goes on from its state exactly.
+    """A learner acts validly, learns from what it collected, and resumes from its state exactly.
 
         >>> check_agent("iql", comm="tarmac", precision="float32")
 
-    It is given a small network and small worlds. Of rooms that its class says in `fits` it gets
-    the first level named there.
+    It gets a small network and small worlds, and for each room that its class lists in `fits` the
+    first level named there.
 
     Args:
         level: its name, as on the command line, or its class.
-        comm: the scheme that it learns with; None: one that fits.
+        comm: the scheme that it learns with; None: the first that fits.
         others: settings of other rooms, such as `encoder.memory=gru`.
         settings: of the level, instead of its yaml's.
 
@@ -64,26 +64,26 @@ def check_agent(
         ContractBroken: what does not hold, with the numbers.
         BadInput: no such level or setting.
     """
-    made = maker("agent", level, settings)
-    fits: dict[str, list[str]] = dict(made.constant("fits") or {})
+    make = maker("agent", level, settings)
+    fits: dict[str, list[str]] = dict(make.constant("fits") or {})
     schemes = fits.pop("comm", ["plan"])
     scheme = schemes[0] if comm is None else comm
     levels = (f"{room}={names[0]}" for room, names in fits.items())
     config = _composed((*SMALL, *levels, *others)).copy()
     config.comm = level_section("comm", scheme)
-    shown = {key: value for key, value in settings.items() if key in SHOWN_MORE}
-    config.agent = OmegaConf.create({**config.agent, **shown})
-    verify(" ".join([made.label, f"comm={scheme}", *others]), CLAUSES, Learner(made, config))
+    of_env = {key: value for key, value in settings.items() if key in SETTINGS_OF_THE_ENV}
+    config.agent = OmegaConf.create({**config.agent, **of_env})
+    verify(" ".join([make.label, f"comm={scheme}", *others]), CLAUSES, Learner(make, config))
 
 
 @cache
 def _composed(overrides: tuple[str, ...]) -> DictConfig:
-    """Return a config, kept, since composing takes longer than all clauses."""
+    """Return a config, cached, since composing takes longer than all clauses."""
     return compose_config(overrides)
 
 
 def started(learner: Learner) -> tuple[Agent, TransformedEnv]:
-    """Return a learner, with weights drawn from seed 0, and an env to play in."""
+    """Return a learner, with weights drawn from seed 0, and its env."""
     env = build.make_env(
         learner.config, scattered_houses(), num_envs=NUM_ENVS, house_order=HouseOrder.FIXED
     )
@@ -111,10 +111,10 @@ def explored(agent: Agent, env: TransformedEnv, seed: int) -> TensorDictBase:
 
 
 def batch_of(learner: Learner, agent: Agent, frames: TensorDictBase) -> TensorDictBase:
-    """Return frames as the training loop hands them to `update`.
+    """Return frames as the training loop passes them to `update`.
 
-    Off policy those that it learns from, as windows of one step; on policy what `estimate` makes
-    of a block. Frames in a row where it unrolls, one by one where it does not.
+    Off policy these are windows of one step; on policy, what `estimate` makes of a block. They are
+    consecutive where the learner unrolls, a flat batch where it does not.
     """
     block = frames.select(*agent.learns_from)
     fits: dict[str, Sequence[str]] = learner.make.constant("fits") or {}
@@ -126,7 +126,7 @@ def batch_of(learner: Learner, agent: Agent, frames: TensorDictBase) -> TensorDi
 
 
 def updated(agent: Agent, batch: TensorDictBase, seed: int) -> dict[str, Tensor]:
-    """Take one step of learning, with what it draws from a seed."""
+    """Make one update whose draws come from a seed."""
     with torch.random.fork_rng([]):
         torch.manual_seed(seed)
         return agent.update(batch.clone())
@@ -137,15 +137,15 @@ def weights_of(agent: Agent) -> dict[str, Tensor]:
     return {name: weight.clone() for name, weight in agent.network.state_dict().items()}
 
 
-def require_same_weights(mine: Agent, theirs: Agent, broken: str) -> None:
+def require_same_weights(agent: Agent, twin: Agent, broken: str) -> None:
     """Raise ContractBroken unless two networks have the same weights."""
-    other = theirs.network.state_dict()
-    for name, weight in mine.network.state_dict().items():
-        require_equal(weight, other[name], f"{broken}, in {name}")
+    weights = twin.network.state_dict()
+    for name, weight in agent.network.state_dict().items():
+        require_equal(weight, weights[name], f"{broken}, in {name}")
 
 
 def actions_are_valid(learner: Learner) -> None:
-    """Each robot gets one of the actions, the best when measured, another at times to explore."""
+    """Each robot gets a valid action: greedy in evaluation, at times random in training."""
     agent, env = started(learner)
     td, frames = env.reset(), explored(agent, env, seed=1)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
@@ -155,19 +155,19 @@ def actions_are_valid(learner: Learner) -> None:
         require(kind == f"torch.int64 {wanted}", f"actions are {kind}, not int64 {wanted}")
         least, greatest = int(action.min()), int(action.max())
         require(0 <= least <= greatest <= 3, f"actions from {least} to {greatest}; valid: 0 to 3")
-    require_equal(first, again, "the policy that is measured acts otherwise when asked twice")
+    require_equal(first, again, "the greedy policy acts differently on the same frame")
     alike = (frames[keys.ACTION] == frames[keys.ACTION][..., :1]).all()
     require(not alike, "exploring, all robots act alike in every step; each draws for itself")
 
 
-def an_update_learns_the_same_from_the_same(learner: Learner) -> None:
-    """An update moves the weights, its measures are finite, and drawn alike it does the same."""
+def equal_frames_and_draws_give_equal_updates(learner: Learner) -> None:
+    """An update moves the weights, has finite measures, and is repeated by the same draws."""
     (agent, env), (twin, _) = started(learner), started(learner)
     require_same_weights(agent, twin, "drawn from one seed, weights differ")
     batch = batch_of(learner, agent, explored(agent, env, seed=1))
     before = weights_of(agent)
     measures, others = updated(agent, batch, seed=4), updated(twin, batch, seed=4)
-    require("loss" in measures, f"update measures {sorted(measures)}, and no loss")
+    require("loss" in measures, f"update measures {sorted(measures)}, but no loss")
     for name, value in measures.items():
         require(value.isfinite(), f"update measures {name} {value.tolist()}")
         require(not value.requires_grad, f"update measures {name} with its graph")
@@ -178,20 +178,20 @@ def an_update_learns_the_same_from_the_same(learner: Learner) -> None:
     require(moved, "an update moves no weight of the network")
 
 
-def it_goes_on_from_its_state(learner: Learner) -> None:
-    """Put back, a state learns on to the same weights, to the bit."""
-    (agent, env), (other, _) = started(learner), started(learner)
+def it_resumes_from_its_state(learner: Learner) -> None:
+    """A learner that resumes from a state learns the same weights, to the bit."""
+    (agent, env), (twin, _) = started(learner), started(learner)
     updated(agent, batch_of(learner, agent, explored(agent, env, seed=1)), seed=4)
-    other.load_state_dict(copy.deepcopy(agent.state_dict()))
-    require_same_weights(agent, other, "with its state put back, other weights")
+    twin.load_state_dict(copy.deepcopy(agent.state_dict()))
+    require_same_weights(agent, twin, "after loading its state, other weights")
     later = batch_of(learner, agent, explored(agent, env, seed=2))
-    for one in (agent, other):
-        updated(one, later, seed=6)
-    require_same_weights(agent, other, "after an update from the same state, other weights")
+    for resumed in (agent, twin):
+        updated(resumed, later, seed=6)
+    require_same_weights(agent, twin, "after an update from the same state, other weights")
 
 
 def policies_follow_the_weights(learner: Learner) -> None:
-    """A policy taken before an update acts by the weights after it."""
+    """A policy made before an update uses the weights after it."""
     agent, env = started(learner)
     early, td = agent.policy(), env.reset()
     frames = explored(agent, env, seed=1)
@@ -201,24 +201,24 @@ def policies_follow_the_weights(learner: Learner) -> None:
         torch.nn.init.normal_(weight.data, generator=torch.Generator().manual_seed(3))
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         first, late = (policy(td.clone())[keys.ACTION] for policy in (early, agent.policy()))
-    require_equal(first, late, "a policy taken before the weights changed acts by other weights")
+    require_equal(first, late, "a policy made before the weights changed acts by other weights")
 
 
-def annealing_goes_through_the_whole_run(learner: Learner) -> None:
-    """Exploration can be set for every part of a run, and what is told of it are numbers."""
+def annealing_covers_the_whole_run(learner: Learner) -> None:
+    """Exploration can be set at every point of a run, and what is logged of it are numbers."""
     agent, _ = started(learner)
     for progress in (0.0, 0.5, 1.0):
         agent.anneal(progress)
         for name, value in agent.measures().items():
-            require(isinstance(value, float), f"measures() tells {name}={value!r}, no number")
+            require(isinstance(value, float), f"measures() has {name}={value!r}, not a number")
     require(agent.history >= 0, f"history is {agent.history}")
-    require((agent.history > 0) is agent.unrolls, "unrolls is not whether there is a history")
+    require((agent.history > 0) is agent.unrolls, "unrolls must be true exactly where history > 0")
 
 
 CLAUSES: tuple[Clause, ...] = (
     actions_are_valid,
-    an_update_learns_the_same_from_the_same,
-    it_goes_on_from_its_state,
+    equal_frames_and_draws_give_equal_updates,
+    it_resumes_from_its_state,
     policies_follow_the_weights,
-    annealing_goes_through_the_whole_run,
+    annealing_covers_the_whole_run,
 )

@@ -15,16 +15,16 @@ from marl_clean.testing._levels import Level, maker
 from marl_clean.testing._talkers import Frames, Talkers, drawn_frames
 
 Stack = Callable[[tuple[int, ...]], Sequence[Channel]]
-"""From the numbers in the message of each round to channels, the first nearest to the sender."""
+"""From the message size of each round to channels, the first nearest to the sender."""
 
 
 def check_channel(level: Level, **settings: Any) -> None:
-    """A channel changes what is heard over live edges, and lets nothing cross over others.
+    """A channel changes what is heard over live edges, and lets nothing cross dead ones.
 
         >>> check_channel("lossy", loss=0.5)
 
-    A class is handed `message_dims` where its constructor asks for it. A stack is held against
-    the contract by `check_stack`.
+    A class gets `message_dims` where its constructor has this parameter. `check_stack` checks a
+    stack.
 
     Raises:
         ContractBroken: what does not hold, with world, robots and numbers.
@@ -35,7 +35,7 @@ def check_channel(level: Level, **settings: Any) -> None:
 
 
 def check_stack(stack: Stack, label: str = "channels") -> None:
-    """A stack of channels holds what one channel holds.
+    """A stack of channels holds the contract of a single channel.
 
     Raises:
         ContractBroken: what does not hold, with world, robots and numbers.
@@ -44,7 +44,7 @@ def check_stack(stack: Stack, label: str = "channels") -> None:
 
 
 def made(stack: Stack, comm: Comm) -> list[Channel]:
-    """Return channels for a scheme's messages, with weights of their own drawn anew."""
+    """Return channels for a scheme's messages, their own weights drawn at random."""
     channels = list(stack(tuple(comm.message_dims)))
     with torch.random.fork_rng([]):
         torch.manual_seed(1)
@@ -66,8 +66,8 @@ def talked(channels: Sequence[Channel], comm: Comm, frames: Frames) -> list[Talk
     draws = any(channel.draws for channel in channels)
     talks = []
     for feature, live, rank, seed in zip(*frames, strict=True):
-        word = seed if draws else None
-        delivery = Stacked(channels, live, rank, comm.rounds, word, states, comm.gated)
+        drawn = seed if draws else None
+        delivery = Stacked(channels, live, rank, comm.rounds, drawn, states, comm.gated)
         require(not (delivery.sent & ~live).any(), "address sends over an edge that is not live")
         talks.append(comm(feature, live, rank, delivery))
         after = iter(delivery.states_after().values())
@@ -109,14 +109,14 @@ def shapes_and_costs(stack: Stack) -> None:
                 require_equal(talk.bits, price * 7 * count, "bits are not those of what is sent")
 
 
-def a_batch_is_its_worlds_one_by_one(stack: Stack) -> None:
-    """A world's messages fare as they do alone."""
+def a_batch_equals_each_world_alone(stack: Stack) -> None:
+    """A world's messages are what they are alone."""
     comm, frames = Talkers((4, 3)), drawn_frames(3, 4, n_agents=3)
     channels = made(stack, comm)
     together = features(talked(channels, comm, frames))
     for world in range(4):
         alone = features(talked(channels, comm, Frames(*(x[:, world] for x in frames))))
-        broken = f"world {world} of 4 ([step, robot, number]) fares otherwise alone"
+        broken = f"world {world} of 4 ([step, robot, number]) gives another result alone"
         require_close(together[:, world], alone, broken)
 
 
@@ -131,12 +131,12 @@ def relabelling_robots_and_draws_relabels_the_result(stack: Stack) -> None:
         frames.rank[..., order, :][..., order],
         frames.seed[..., order],
     )
-    mine = features(talked(channels, comm, frames))[..., order, :]
-    broken = f"robots renumbered as {order.tolist()} fare otherwise"
-    require_close(mine, features(talked(channels, comm, renamed)), broken)
+    permuted = features(talked(channels, comm, frames))[..., order, :]
+    broken = f"robots renumbered as {order.tolist()} get other results"
+    require_close(permuted, features(talked(channels, comm, renamed)), broken)
 
 
-def the_same_draws_give_the_same_and_others_another(stack: Stack) -> None:
+def the_draws_alone_decide_the_result(stack: Stack) -> None:
     """What is random is a function of the draws that come with the frame, and of nothing else."""
     comm = Talkers((4, 3))
     channels, frames = made(stack, comm), drawn_frames(4, 40, n_agents=4, share=0.9)
@@ -146,11 +146,11 @@ def the_same_draws_give_the_same_and_others_another(stack: Stack) -> None:
     other = frames._replace(seed=drawn_frames(4, 40, n_agents=4, seed=1).seed)
     same = torch.equal(first, features(talked(channels, comm, other)))
     draws = any(channel.draws for channel in channels)
-    require(same is not draws, "draws is True, and other draws give the same result")
+    require(same is not draws, "draws is True, but other draws give the same result")
 
 
 def nothing_crosses_where_no_edge_was_ever_live(stack: Stack) -> None:
-    """Over an edge that was dead all along nothing crosses: not even NaN, and no gradient."""
+    """Nothing crosses an edge that was always dead: not even NaN, and no gradient."""
     for widths in ((5,), (4, 3)):
         comm, frames = Talkers(widths), drawn_frames(3, 6, n_agents=6, share=0.15)
         channels = made(stack, comm)
@@ -174,7 +174,7 @@ def nothing_crosses_where_no_edge_was_ever_live(stack: Stack) -> None:
             require(finite, f"NaN of robot {sender} crosses a dead edge in the gradient")
 
 
-def no_further_than_the_rounds_and_no_later_than_said(stack: Stack) -> None:
+def no_further_than_the_rounds_and_no_later_than_declared(stack: Stack) -> None:
     """A message crosses an edge a round, and is heard at most `steps_late` steps later."""
     comm = Talkers((4, 3))
     channels = made(stack, comm)
@@ -201,7 +201,7 @@ def no_further_than_the_rounds_and_no_later_than_said(stack: Stack) -> None:
 
 
 def nobody_hears_for_free(stack: Stack) -> None:
-    """Whom a robot's message of one step moves, then or later, is at most who was paid for."""
+    """A robot's message of one step affects, then or later, no more robots than it pays for."""
     comm, frames = Talkers((5,)), drawn_frames(3, 20, n_agents=5, share=0.7)
     channels = made(stack, comm)
     talks = talked(channels, comm, frames)
@@ -219,7 +219,7 @@ def nobody_hears_for_free(stack: Stack) -> None:
 
 
 def silence_is_heard_as_silence_and_costs_nothing(stack: Stack) -> None:
-    """Where everybody chooses to be silent, robots know what they know without an edge."""
+    """Where all robots choose to be silent, they know what they know without live edges."""
     comm, frames = Talkers((4, 3), gate=0.0), drawn_frames(4, 8, n_agents=4, share=0.9)
     channels = made(stack, comm)
     talks = talked(channels, comm, frames)
@@ -231,11 +231,11 @@ def silence_is_heard_as_silence_and_costs_nothing(stack: Stack) -> None:
 
 CLAUSES: tuple[Clause, ...] = (
     shapes_and_costs,
-    the_same_draws_give_the_same_and_others_another,
-    a_batch_is_its_worlds_one_by_one,
+    the_draws_alone_decide_the_result,
+    a_batch_equals_each_world_alone,
     relabelling_robots_and_draws_relabels_the_result,
     nothing_crosses_where_no_edge_was_ever_live,
-    no_further_than_the_rounds_and_no_later_than_said,
+    no_further_than_the_rounds_and_no_later_than_declared,
     nobody_hears_for_free,
     silence_is_heard_as_silence_and_costs_nothing,
 )

@@ -21,15 +21,15 @@ TALK = ("feature", "message", "edges", "bits")  # of `Talk`, in its order
 
 
 def check_comm(level: Level, *, compiled: bool = False, **settings: Any) -> None:
-    """A scheme lets nothing cross but over live edges, and pays for what it sends.
+    """A scheme communicates over live edges only, and pays for what it sends.
 
         >>> check_comm("tarmac", rounds=2)
 
-    A class is handed `in_features`, and `observed` where its constructor asks for it.
+    A class gets `in_features`, and `observed` where its constructor has this parameter.
 
     Args:
         level: its name, as on the command line, or its class.
-        compiled: hold it compiled by `torch.compile`, in one graph, against itself too.
+        compiled: compare it with itself compiled by `torch.compile` in one graph, too.
         settings: of the level, instead of its yaml's.
 
     Raises:
@@ -71,7 +71,7 @@ def relabelling_the_robots_relabels_the_result(make: Maker) -> None:
 
 
 def a_dead_edge_has_no_influence_not_even_nan_and_no_gradient(make: Maker) -> None:
-    """Over a dead edge nothing crosses: no number, not even NaN, and no gradient."""
+    """Nothing crosses a dead edge: no number, not even NaN, and no gradient."""
     comm = make_scheme(make)
     feature, live, rank = draw(6, n_agents=5, share=0.3)
     reach, before = within(live, comm.rounds), comm(feature, live, rank).feature
@@ -87,20 +87,20 @@ def a_dead_edge_has_no_influence_not_even_nan_and_no_gradient(make: Maker) -> No
         after = comm(poisoned, live, rank).feature
         require_unheard(after, before, reach, sender, "NaN")
         (back,) = torch.autograd.grad(after[deaf].sum(), poisoned)
-        # Who hears the poisoned one hands 0 x NaN back to whom it hears, and no further.
+        # A robot that hears the poisoned sender passes 0 x NaN back to its senders, and no further.
         untouched = ~within(live, 2 * comm.rounds)[:, :, sender]
         finite = back[untouched].isfinite()
         require(finite, f"NaN of robot {sender} crosses a dead edge in the gradient")
 
 
 def gradient_crosses_exactly_the_edges_within_the_rounds(make: Maker) -> None:
-    """A robot's loss reaches itself and, unless messages are detached, whom it hears; no other."""
+    """A robot's loss reaches itself and, unless messages are detached, its senders; no others."""
     comm = make_scheme(make)
     feature, live, rank = draw(4, n_agents=4, share=0.4)
     feature.requires_grad_()
     with torch.random.fork_rng([]):
         torch.manual_seed(0)
-        talk = comm.train()(feature, live, rank)  # in use bits and gates have none
+        talk = comm.train()(feature, live, rank)  # in eval mode bits and gates have no gradient
     reach, itself = within(live, comm.rounds), torch.eye(4, dtype=torch.bool)
     crosses = talk.message.shape[-1] > 0 and not comm.detach
     for world in range(4):
@@ -122,7 +122,7 @@ def gradient_crosses_exactly_the_edges_within_the_rounds(make: Maker) -> None:
 
 
 def rounds_reach_as_many_hops_and_no_further(make: Maker) -> None:
-    """What a robot knows crosses as many edges within a step as there are rounds."""
+    """Information crosses as many edges within a step as there are rounds."""
     comm = make_scheme(make)
     length = comm.rounds + 3
     live, rank, hops = line(length)
@@ -148,15 +148,15 @@ def without_live_edge_the_others_may_be_anyone_or_missing(make: Maker) -> None:
     require_close(among, alone, "with no live edge, robot 0 of 4 has other features than alone")
 
 
-def a_batch_is_its_worlds_one_by_one(make: Maker) -> None:
+def a_batch_equals_each_world_alone(make: Maker) -> None:
     """A world's talk is what it is alone."""
     comm = make_scheme(make)
     inputs = draw(5, n_agents=3)
     together = comm(*inputs)
     for world in range(5):
         alone = comm(*(x[world] for x in inputs))
-        for name, mine, theirs in zip(TALK, together[:4], alone[:4], strict=True):
-            require_close(mine[world], theirs, f"{name} of world {world} of 5 is another alone")
+        for name, batched, single in zip(TALK, together[:4], alone[:4], strict=True):
+            require_close(batched[world], single, f"{name} of world {world} of 5 differs alone")
 
 
 def bits_are_those_of_the_numbers_sent(make: Maker) -> None:
@@ -171,19 +171,19 @@ def bits_are_those_of_the_numbers_sent(make: Maker) -> None:
         edges.append(receivers * spoken)
         sent = OBSERVED if make.takes("observed") else part.shape[-1]
         numbers = comm.numbers(round_index)
-        paid = f"round {round_index} sends {sent} numbers and pays for {numbers}"
-        require(numbers == sent, paid)
+        broken = f"round {round_index} sends {sent} numbers and pays for {numbers}"
+        require(numbers == sent, broken)
         bits = bits + comm.bits_per_number * sent * edges[-1]
     require_equal(talk.edges, torch.cat(edges, -1), "edges are not those that were sent over")
     require_equal(talk.bits, bits, "bits are not those of the numbers sent")
     most = 2**comm.bits_per_number if comm.bits_per_number < BITS_PER_FLOAT else None
     values = talk.message.unique().numel()
-    told = f"{values} different values in messages of {comm.bits_per_number} bits a number"
-    require(most is None or values <= most, told)
+    broken = f"{values} different values in messages of {comm.bits_per_number} bits a number"
+    require(most is None or values <= most, broken)
 
 
 def what_a_robot_sends_depends_on_nobody_out_of_reach(make: Maker) -> None:
-    """A message holds what its sender knows by then, of nobody farther than the rounds before."""
+    """A message depends on no robot that earlier rounds do not connect with its sender."""
     comm = make_scheme(make)
     feature, live, rank = draw(6, n_agents=5, share=0.3)
     reach = within(live, max(0, comm.rounds - 1))
@@ -196,7 +196,7 @@ def what_a_robot_sends_depends_on_nobody_out_of_reach(make: Maker) -> None:
 
 
 def robots_out_of_reach_change_nothing_unless_it_dilutes(make: Maker) -> None:
-    """Robots that nobody reaches may be added, unless the scheme says that their number counts."""
+    """Adding robots that nobody reaches changes nothing, unless the scheme says that it dilutes."""
     comm = make_scheme(make)
     feature, live, rank = draw(3, n_agents=5, share=0.7)
     live[:, 2], live[:, :, 2] = False, False
@@ -206,9 +206,9 @@ def robots_out_of_reach_change_nothing_unless_it_dilutes(make: Maker) -> None:
     among = comm(feature, live, rank)
     if comm.dilutes:
         same = torch.equal(among.feature[:, kept], without.feature)
-        require(not same, "dilutes is True, and a robot more out of reach changes nothing")
+        require(not same, "dilutes is True, but another robot out of reach changes nothing")
         return
-    _require_same(among, without, kept, "without robot 2, whom nobody reaches")
+    _require_same(among, without, kept, "without robot 2, which no other reaches,")
 
 
 def attention_is_paid_over_live_edges(make: Maker) -> None:
@@ -217,14 +217,14 @@ def attention_is_paid_over_live_edges(make: Maker) -> None:
     feature, live, rank = draw(4, n_agents=5)
     attention = comm(feature, live, rank).attention
     if attention is None:
-        require(comm.pull == 0, f"pull is {comm.pull}, and there is no attention to pull")
+        require(comm.pull == 0, f"pull is {comm.pull}, but there is no attention to pull")
         return
     require(attention.ndim == 4, f"attention is {list(attention.shape)}, not [batch, head, n, n]")
     dead = ~live & ~torch.eye(5, dtype=torch.bool)
     most = attention.masked_fill(~dead[:, None], 0).abs().max().item()
     require(most == 0, f"attention of {most} falls on a dead edge")
     least, sums = attention.min().item(), attention.sum(-1)
-    require(least >= 0, f"attention of {least} is no share")
+    require(least >= 0, f"attention of {least} is negative")
     require(sums <= 1 + 1e-9, f"a robot's attention sums to {sums.max().item()}, more than 1")
 
 
@@ -243,13 +243,13 @@ def compiled_it_is_the_same(make: Maker) -> None:
     comm, inputs = make_scheme(make), draw(4, n_agents=3)
     torch.compiler.reset()
     compiled = torch.compile(comm, fullgraph=True, backend="eager")(*inputs)
-    for name, mine, theirs in zip(TALK, comm(*inputs)[:4], compiled[:4], strict=True):
-        require_close(theirs, mine, f"compiled, {name} is another", tolerance=1e-9)
+    for name, eager, result in zip(TALK, comm(*inputs)[:4], compiled[:4], strict=True):
+        require_close(result, eager, f"compiled, {name} differs", tolerance=1e-9)
 
 
-def _require_same(mine: Talk, theirs: Talk, robots: Tensor, what: str) -> None:
-    for name, one, other in zip(TALK, mine[:4], theirs[:4], strict=True):
-        require_close(one[:, robots], other, f"{what} it has another {name}")
+def _require_same(talk: Talk, renamed: Talk, robots: Tensor, what: str) -> None:
+    for name, before, after in zip(TALK, talk[:4], renamed[:4], strict=True):
+        require_close(before[:, robots], after, f"{what} it has another {name}")
 
 
 CLAUSES: tuple[Clause, ...] = (
@@ -259,7 +259,7 @@ CLAUSES: tuple[Clause, ...] = (
     gradient_crosses_exactly_the_edges_within_the_rounds,
     rounds_reach_as_many_hops_and_no_further,
     without_live_edge_the_others_may_be_anyone_or_missing,
-    a_batch_is_its_worlds_one_by_one,
+    a_batch_equals_each_world_alone,
     bits_are_those_of_the_numbers_sent,
     what_a_robot_sends_depends_on_nobody_out_of_reach,
     robots_out_of_reach_change_nothing_unless_it_dilutes,

@@ -43,7 +43,7 @@ def observed(*shape: int, seed: int = 0) -> Tensor:
 
 
 def encoders(make: Maker) -> list[tuple[tuple[int, ...], nn.Module]]:
-    """Return an encoder for each shape, as it is used."""
+    """Return an encoder for each shape, in eval mode."""
     result = []
     for shape in shapes_of(make):
         with torch.random.fork_rng([]):
@@ -62,7 +62,8 @@ def a_feature_vector_for_each_robot(make: Maker) -> None:
             same = list(feature.shape) == wanted and feature.dtype == torch.float32
             require(same, f"gives {kind} for {[*batch, N_AGENTS, *shape]}, not float32 {wanted}")
             require(
-                feature.isfinite(), f"gives what is not finite for {[*batch, N_AGENTS, *shape]}"
+                feature.isfinite(),
+                f"gives values that are not finite for {[*batch, N_AGENTS, *shape]}",
             )
         memory = encoder.memory
         if memory is not None:
@@ -72,7 +73,7 @@ def a_feature_vector_for_each_robot(make: Maker) -> None:
 
 
 def robots_do_not_see_each_other(make: Maker) -> None:
-    """A robot's features are those of its own observation: in no way of any other's."""
+    """A robot's features depend on its own observation alone."""
     for shape, encoder in encoders(make):
         seen = observed(2, N_AGENTS, *shape)
         before = encoder(seen)
@@ -86,12 +87,14 @@ def robots_do_not_see_each_other(make: Maker) -> None:
         require((encoder(observed(2, N_AGENTS, *shape, seed=1)) != before).any(), "sees nothing")
 
 
-def a_batch_is_its_worlds_one_by_one(make: Maker) -> None:
-    """A world's features are what they are alone, and the same again."""
+def a_batch_equals_each_world_alone(make: Maker) -> None:
+    """A world's features are what they are alone, and repeatable."""
     for shape, encoder in encoders(make):
         seen = observed(5, N_AGENTS, *shape)
         together = encoder(seen)
-        require_equal(encoder(seen), together, "in use, the same observation gives other features")
+        require_equal(
+            encoder(seen), together, "in eval mode, the same observation gives other features"
+        )
         for world in range(5):
             alone = encoder(seen[world])
             require_close(together[world], alone, f"world {world} of 5 has other features alone")
@@ -103,15 +106,15 @@ def every_weight_learns(make: Maker) -> None:
         seen = observed(16, N_AGENTS, *shape)
         encoder.train()(seen).square().sum().backward()
         for name, weight in encoder.named_parameters():
-            if not name.startswith("memory."):  # that is run by the network
+            if not name.startswith("memory."):  # the network runs the memory
                 require(weight.grad is not None, f"{name} gets no gradient")
         alike = encoder.eval()(seen[:1, :1].expand_as(seen))
         first = alike[:1, :1].expand_as(alike)
-        require_close(alike, first, "robots see the same, and have other features")
+        require_close(alike, first, "robots see the same, but have other features")
 
 
 def a_copy_is_another_encoder(make: Maker) -> None:
-    """It can be copied, and its weights be stored and put back."""
+    """It can be copied, and its weights can be stored and loaded."""
     for shape, encoder in encoders(make):
         seen = observed(2, N_AGENTS, *shape)
         twin = copy.deepcopy(encoder)
@@ -119,13 +122,13 @@ def a_copy_is_another_encoder(make: Maker) -> None:
             nn.init.normal_(weight)
         before = encoder(seen)
         twin.load_state_dict(encoder.state_dict())
-        require_equal(twin(seen), before, "with its weights put back it gives other features")
+        require_equal(twin(seen), before, "after loading its weights it gives other features")
 
 
 CLAUSES: tuple[Clause, ...] = (
     a_feature_vector_for_each_robot,
     robots_do_not_see_each_other,
-    a_batch_is_its_worlds_one_by_one,
+    a_batch_equals_each_world_alone,
     every_weight_learns,
     a_copy_is_another_encoder,
 )

@@ -17,7 +17,7 @@ HOUSES, N_AGENTS = 12, 2
 
 
 def check_house(level: Level, **settings: Any) -> None:
-    """A house draws layouts, each a function of its seed, in which robots can clean.
+    """A house draws layouts for robots to clean, each a function of its seed.
 
     By name, as on the command line, with settings changed; or by class with its settings:
 
@@ -63,7 +63,7 @@ def _check_layout(house: House, layout: HouseLayout, seed: int, name: str) -> No
 
 
 def a_layout_is_a_function_of_seed_and_draw(make: Maker) -> None:
-    """The same seed and draw give the same layout, whatever was drawn before; a file gives one."""
+    """The same seed and draw give the same layout, whatever was drawn before; a file has one."""
     house, other = make(), make()
     layouts = {(seed, draw): house.layout(seed, draw) for seed in SEEDS for draw in DRAWS}
     before = random.getstate(), np.random.get_state()
@@ -78,19 +78,19 @@ def a_layout_is_a_function_of_seed_and_draw(make: Maker) -> None:
 
 
 def _require_same(layout: HouseLayout, expected: HouseLayout, name: str) -> None:
-    again = "when asked again, after others and with other global random numbers"
+    again = "when drawn again, after others and with other global random numbers"
     shapes = f"{list(layout.free.shape)}, not {list(expected.free.shape)}"
-    require(layout.free.shape == expected.free.shape, f"{name} is another {again}: {shapes}")
+    require(layout.free.shape == expected.free.shape, f"{name} differs {again}: {shapes}")
     for field in ("free", "furniture"):
         differs = np.argwhere(getattr(layout, field) != getattr(expected, field))
         where = f"{len(differs)} cells of {field} differ, first {differs[:1].tolist()}"
-        require(len(differs) == 0, f"{name} is another {again}: {where}")
+        require(len(differs) == 0, f"{name} differs {again}: {where}")
     same = (layout.starts, layout.source) == (expected.starts, expected.source)
     require(same, f"{name} has other starts or another source {again}")
 
 
-def houses_can_be_played_in(make: Maker) -> None:
-    """Within the draws of every seed there is a house of one region with room for robots."""
+def houses_have_room_for_robots(make: Maker) -> None:
+    """Every seed gives, within its draws, a house of one region with room for robots."""
     for house in make().parts():
         require(isinstance(house, House), f"parts() holds {house!r}, which is no House")
     try:
@@ -104,5 +104,5 @@ def houses_can_be_played_in(make: Maker) -> None:
 CLAUSES: tuple[Clause, ...] = (
     layouts_are_grids_of_cells,
     a_layout_is_a_function_of_seed_and_draw,
-    houses_can_be_played_in,
+    houses_have_room_for_robots,
 )

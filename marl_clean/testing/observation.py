@@ -33,14 +33,14 @@ def check_observation(level: Level, **settings: Any) -> None:
 def worlds_seen_by(
     make: Maker, *settings: str, houses: Houses | None = None, **place: Any
 ) -> TransformedEnv:
-    """Return worlds under a new object of the level."""
+    """Return worlds observed by a new object of the level."""
     observation = make()
     return make_worlds(
         [observation], houses, settings=settings, reach_cells=observation.reach_cells, **place
     )
 
 
-def seen_while_played(env: TransformedEnv, actions: Tensor) -> Tensor:
+def seen_while_stepping(env: TransformedEnv, actions: Tensor) -> Tensor:
     """Return what robots see after each step, `[step, env, agent, ...]`; resets included."""
     td, seen = env.reset(), []
     for action in actions:
@@ -60,13 +60,13 @@ def it_gives_the_form_that_it_declares(make: Maker) -> None:
     if gives is Form.SQUARES:
         require(shape[-1] == shape[-2], f"gives {gives.value}, but shape() is {shape}")
     seen = worlds_seen_by(make).reset()[keys.OBSERVATION]
-    require(seen.dtype == torch.float32, f"what is seen is {seen.dtype}, not float32")
+    require(seen.dtype == torch.float32, f"the observation is {seen.dtype}, not float32")
     whole = (6, N_AGENTS, *shape)
-    require(seen.shape == whole, f"what is seen is {list(seen.shape)}, not {list(whole)}")
+    require(seen.shape == whole, f"the observation is {list(seen.shape)}, not {list(whole)}")
 
 
 def values_are_within_the_spec(make: Maker) -> None:
-    """Values are finite and between `lowest` and 1, whichever way maps are kept."""
+    """Values are finite and between `lowest` and 1, under every `env.memory`."""
     for memory in MEMORIES:
         settings = (f"env.memory={memory}", "env.sensor=touch4", "env.bump_noise=0.2")
         env = worlds_seen_by(make, *settings)
@@ -81,29 +81,29 @@ def values_are_within_the_spec(make: Maker) -> None:
 
 
 def a_lane_of_one_row_is_a_house(make: Maker) -> None:
-    """Houses of a single row are seen."""
+    """Houses of a single row can be observed."""
     seen = worlds_seen_by(make, houses=lane(), num_envs=2).rollout(8)["next", keys.OBSERVATION]
-    require(seen.isfinite(), "what is seen in a house of one row is not finite")
+    require(seen.isfinite(), "the observation in a house of one row is not finite")
 
 
 def a_world_of_many_sees_what_it_sees_alone(make: Maker) -> None:
-    """A world shows what it shows alone, over episodes' ends: nothing crosses between worlds."""
+    """A world shows what it shows alone, across episodes: nothing crosses between worlds."""
     actions = drawn_actions(24, 4)
     for memory in MEMORIES:
         settings = (f"env.memory={memory}", *HARD)
-        together = seen_while_played(worlds_seen_by(make, *settings, num_envs=4), actions)
+        together = seen_while_stepping(worlds_seen_by(make, *settings, num_envs=4), actions)
         for world in (0, 2):
-            one = worlds_seen_by(make, *settings, num_envs=1, first_env=world)
-            alone = seen_while_played(one, actions[:, world : world + 1])
-            broken = f"world {world} of 4 shows another thing alone, env.memory={memory}"
+            single = worlds_seen_by(make, *settings, num_envs=1, first_env=world)
+            alone = seen_while_stepping(single, actions[:, world : world + 1])
+            broken = f"world {world} of 4 shows something else alone, env.memory={memory}"
             require_close(together[:, world], alone[:, 0], broken, tolerance=1e-6)
 
 
 def a_partial_reset_shows_what_a_whole_one_does(make: Maker) -> None:
-    """Worlds that begin anew beside others show what they show when all begin anew."""
+    """Worlds that are reset among others show what they show when all are reset."""
     env, other = (worlds_seen_by(make, "env.memory=private", num_envs=5) for _ in range(2))
     actions = drawn_actions(6, 5)
-    seen_while_played(env, actions)
+    seen_while_stepping(env, actions)
     last = env.step(env.rand_action(env.reset()))["next"]
     last = last.select(keys.AGENTS, *keys.ENDINGS)
     before = last[keys.OBSERVATION].clone()
@@ -115,25 +115,25 @@ def a_partial_reset_shows_what_a_whole_one_does(make: Maker) -> None:
     other.base_env.state.episode = torch.where(begins, episodes - 1, episodes)
     whole = other.reset()[keys.OBSERVATION]
     for world in (1, 4):
-        broken = f"world {world}, reset beside others, shows another thing than in a whole reset"
+        broken = f"world {world}, reset among others, shows something else than when all are reset"
         require_close(after[world], whole[world], broken, tolerance=1e-6)
     for world in (0, 2, 3):
-        broken = f"world {world} was not reset and shows another thing"
+        broken = f"world {world} was not reset but shows something else"
         require_equal(after[world], before[world], broken)
 
 
-def both_ways_of_stepping_show_the_same(make: Maker) -> None:
-    """TorchRL's own way through a step shows the same, to the bit."""
+def both_step_methods_show_the_same(make: Maker) -> None:
+    """TorchRL's own step method shows the same, to the bit."""
     actions = drawn_actions(16, 6)
-    mine, torchrls = (
-        seen_while_played(worlds_seen_by(make, *HARD, torchrl=torchrl), actions)
+    ours, torchrls = (
+        seen_while_stepping(worlds_seen_by(make, *HARD, torchrl=torchrl), actions)
         for torchrl in (False, True)
     )
-    require_equal(mine, torchrls, "the env's step and TorchRL's show different things")
+    require_equal(ours, torchrls, "the env's step and TorchRL's show different things")
 
 
-def looking_changes_nothing(make: Maker) -> None:
-    """The worlds go their way whether or not anybody looks."""
+def observing_changes_nothing(make: Maker) -> None:
+    """The worlds' dynamics do not depend on whether they are observed."""
     actions = drawn_actions(16, 6)
     states = []
     reach = make().reach_cells
@@ -145,7 +145,7 @@ def looking_changes_nothing(make: Maker) -> None:
             _, td = env.step_and_maybe_reset(td)
         states.append(env.base_env.state.tensors())
     for name, value in states[0].items():
-        require_equal(value, states[1][name], f"looking changes the worlds' {name}")
+        require_equal(value, states[1][name], f"observing changes the worlds' {name}")
 
 
 CLAUSES: tuple[Clause, ...] = (
@@ -154,6 +154,6 @@ CLAUSES: tuple[Clause, ...] = (
     a_lane_of_one_row_is_a_house,
     a_world_of_many_sees_what_it_sees_alone,
     a_partial_reset_shows_what_a_whole_one_does,
-    both_ways_of_stepping_show_the_same,
-    looking_changes_nothing,
+    both_step_methods_show_the_same,
+    observing_changes_nothing,
 )

@@ -14,7 +14,7 @@ from marl_clean.testing._worlds import N_AGENTS, make_worlds
 from marl_clean.world.state import State
 
 HIDDEN = {"blocked", "piece", "visited", "num_visited", "num_free", "furniture_moves", "house"}
-"""Of the worlds' state what robots cannot know."""
+"""The parts of the worlds' state that robots cannot know."""
 FINISHED_UNDER = (
     ("env.sensor=bump",),
     ("env.sensor=touch4",),
@@ -32,7 +32,7 @@ def check_planner(level: Level, *, finishes: bool = True, **settings: Any) -> No
 
     Args:
         level: its name, as on the command line, or its class.
-        finishes: it is one that comes to an end in every house.
+        finishes: whether it is expected to clean every house completely.
         settings: of the level, instead of its yaml's.
 
     Raises:
@@ -52,7 +52,7 @@ def planned(make: Maker, *settings: str, **place: Any) -> tuple[TransformedEnv, 
 def it_has_a_label(make: Maker) -> None:
     """The label, of tables and `evaluation.json`, is one short line."""
     label = make().label
-    require(isinstance(label, str) and bool(label.strip()), f"label is {label!r}, not a text")
+    require(isinstance(label, str) and bool(label.strip()), f"label is {label!r}, not a string")
     require(len(label) < 80 and label.isprintable(), f"label is {label!r}, not one short line")
 
 
@@ -66,8 +66,8 @@ def actions_are_valid(make: Maker) -> None:
     require(0 <= least <= greatest <= 3, f"actions from {least} to {greatest}; valid: 0 to 3")
 
 
-def a_batch_is_its_worlds_one_by_one(make: Maker) -> None:
-    """What is done in a world is what is done in it alone, episode after episode."""
+def a_batch_equals_each_world_alone(make: Maker) -> None:
+    """The actions in a world are those in this world alone, episode after episode."""
 
     def actions(num_envs: int, first_env: int) -> Tensor:
         place = {"num_envs": num_envs, "first_env": first_env}
@@ -76,18 +76,20 @@ def a_batch_is_its_worlds_one_by_one(make: Maker) -> None:
 
     together = actions(3, 0)
     for world in range(3):
-        broken = f"in world {world} of 3 ([step, robot]) it acts otherwise alone"
+        broken = f"in world {world} of 3 ([step, robot]) it acts differently alone"
         require_equal(together[world], actions(1, world)[0], broken)
 
 
 def the_truth_is_not_read(make: Maker) -> None:
-    """With all that robots cannot know overwritten, and asked twice, the action is the same."""
+    """The action stays the same when called twice, and with all that is hidden overwritten."""
     for sensor in ("bump", "touch4"):
         env, planner = planned(make, f"env.sensor={sensor}")
         base, td = env.base_env, env.reset()
         for step in range(25):
             action = planner(td)[keys.ACTION].clone()
-            require_equal(planner(td)[keys.ACTION], action, f"asked twice in step {step}")
+            require_equal(
+                planner(td)[keys.ACTION], action, f"differs when called twice in step {step}"
+            )
             truth = base.state
             scrambled = {
                 name: ~value if value.dtype == torch.bool else value + 1
@@ -123,6 +125,6 @@ def every_house_is_finished(make: Maker) -> None:
 CLAUSES: tuple[Clause, ...] = (
     it_has_a_label,
     actions_are_valid,
-    a_batch_is_its_worlds_one_by_one,
+    a_batch_equals_each_world_alone,
     the_truth_is_not_read,
 )

@@ -12,7 +12,7 @@ from marl_clean.testing._worlds import drawn_actions, make_worlds
 
 
 def check_reward(level: Level, **settings: Any) -> None:
-    """A reward split pays from own rewards and contact, whatever the robots' numbers.
+    """A reward split pays from own rewards and contact, however robots are numbered.
 
         >>> check_reward("neighbours")
 
@@ -25,7 +25,7 @@ def check_reward(level: Level, **settings: Any) -> None:
 
 
 def drawn(*batch: int, n_agents: int, seed: int = 0) -> tuple[Tensor, Tensor]:
-    """Return own rewards, and who is in contact."""
+    """Return own rewards and a random contact graph."""
     generator = torch.Generator().manual_seed(seed)
     own = torch.randn(*batch, n_agents, 1, generator=generator)
     live = (torch.rand(*batch, n_agents, n_agents, generator=generator) < 0.5).triu(1)
@@ -33,7 +33,7 @@ def drawn(*batch: int, n_agents: int, seed: int = 0) -> tuple[Tensor, Tensor]:
 
 
 def pay_is_one_finite_number_a_robot(make: Maker) -> None:
-    """Pay has the own reward's shape and dtype, and what it is made of is left as it was."""
+    """Pay has the own reward's shape and dtype, and its inputs are left unchanged."""
     split = make()
     for batch in ((), (1,), (4,), (2, 3)):
         for n_agents in (1, 2, 5):
@@ -43,32 +43,32 @@ def pay_is_one_finite_number_a_robot(make: Maker) -> None:
             kind, wanted = (f"{x.dtype} {list(x.shape)}" for x in (paid, own))
             require(kind == wanted, f"pay gives {kind} for own rewards of {wanted}")
             require(paid.isfinite(), f"pay of finite rewards is not finite: {paid.flatten()}")
-            require_equal(own, before[0], "pay changes the own rewards that it is given")
-            require_equal(live, before[1], "pay changes the adjacency that it is given")
+            require_equal(own, before[0], "pay changes the own rewards in place")
+            require_equal(live, before[1], "pay changes the adjacency in place")
             apart = paid.untyped_storage().data_ptr() != own.untyped_storage().data_ptr()
-            require(apart or own.numel() == 0, "pay gives its input; return a copy of it")
+            require(apart or own.numel() == 0, "pay returns its input; return a copy of it")
 
 
 def relabelling_the_robots_relabels_pay(make: Maker) -> None:
     """Pay does not depend on how robots are numbered."""
     own, live = drawn(6, n_agents=5)
     order = torch.tensor([2, 0, 4, 1, 3])
-    mine = make().pay(own, live)[:, order]
-    theirs = make().pay(own[:, order], live[:, order][..., order])
-    require_close(mine, theirs, f"robots renumbered as {order.tolist()} are paid otherwise")
+    permuted = make().pay(own, live)[:, order]
+    renamed = make().pay(own[:, order], live[:, order][..., order])
+    require_close(permuted, renamed, f"robots renumbered as {order.tolist()} are paid differently")
 
 
-def a_batch_is_its_worlds_one_by_one(make: Maker) -> None:
+def a_batch_equals_each_world_alone(make: Maker) -> None:
     """A world's pay is what it is alone."""
     own, live = drawn(5, n_agents=3)
     together = make().pay(own, live)
     for world in range(5):
         alone = make().pay(own[world], live[world])
-        require_close(together[world], alone, f"world {world} of 5 is paid otherwise alone")
+        require_close(together[world], alone, f"world {world} of 5 is paid differently alone")
 
 
-def pay_is_the_same_by_both_ways_of_stepping(make: Maker) -> None:
-    """An env pays, and TorchRL's own way through a step gives the same."""
+def both_step_methods_pay_the_same(make: Maker) -> None:
+    """The env's step and TorchRL's own method pay the same."""
     paid = []
     for torchrl in (False, True):
         env = make_worlds([make()], torchrl=torchrl)
@@ -84,6 +84,6 @@ def pay_is_the_same_by_both_ways_of_stepping(make: Maker) -> None:
 CLAUSES: tuple[Clause, ...] = (
     pay_is_one_finite_number_a_robot,
     relabelling_the_robots_relabels_pay,
-    a_batch_is_its_worlds_one_by_one,
-    pay_is_the_same_by_both_ways_of_stepping,
+    a_batch_equals_each_world_alone,
+    both_step_methods_pay_the_same,
 )

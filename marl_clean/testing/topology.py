@@ -19,7 +19,7 @@ STEPS = 12
 
 
 def check_topology(level: Level, **settings: Any) -> None:
-    """A topology tells who is in contact: mutual, with others only, whatever the numbering.
+    """A topology says which robots are in contact: symmetric, never with itself.
 
         >>> check_topology("radius", radius_cells=2.0)
 
@@ -32,7 +32,7 @@ def check_topology(level: Level, **settings: Any) -> None:
 
 
 def require_graph(adjacency: Tensor, where: str) -> None:
-    """Raise ContractBroken unless contact is bool, mutual and never with oneself."""
+    """Raise ContractBroken unless contact is bool, mutual and never with itself."""
     require(adjacency.dtype == torch.bool, f"{where}: contact is {adjacency.dtype}, not bool")
     one_way = (adjacency & ~adjacency.mT).nonzero()
     require(len(one_way) == 0, f"{where}: contact is not mutual at {one_way[:1].tolist()}")
@@ -41,7 +41,7 @@ def require_graph(adjacency: Tensor, where: str) -> None:
 
 
 def contact_is_mutual_and_in_the_spec(make: Maker) -> None:
-    """Contact is `[env, agent, agent]` bool, mutual, never with oneself, and as the spec says."""
+    """Contact is `[env, agent, agent]` bool, mutual, never with itself, and within the spec."""
     for memory in MEMORIES:
         env = make_worlds([make()], settings=(f"env.memory={memory}",))
         seen = env.rollout(STEPS, break_when_any_done=False)
@@ -55,14 +55,14 @@ def contact_is_mutual_and_in_the_spec(make: Maker) -> None:
                 require(inside, f"{key} leaves its spec with env.memory={memory}")
 
 
-def asking_changes_nothing_and_gives_the_same_again(make: Maker) -> None:
-    """Contact is read from the worlds, which stay as they are."""
+def reading_contact_changes_nothing(make: Maker) -> None:
+    """Reading contact leaves the worlds unchanged, and is repeatable."""
     topology, state, env = _started(make)
     before = {name: value.clone() for name, value in state.tensors().items()}
     first = topology.contact(state, env.rules)
     for name, value in state.tensors().items():
         require_equal(value, before[name], f"contact changes the worlds' {name}")
-    require_equal(topology.contact(state, env.rules), first, "contact is another when asked twice")
+    require_equal(topology.contact(state, env.rules), first, "contact differs when read twice")
 
 
 def relabelling_the_robots_relabels_contact(make: Maker) -> None:
@@ -71,13 +71,13 @@ def relabelling_the_robots_relabels_contact(make: Maker) -> None:
     order = torch.tensor([2, 0, 1])
     of_robots = {"position", "record", "moved", "bumped", "collided", "newly_cleaned"}
     renamed = State(**{k: v[:, order] if k in of_robots else v for k, v in state.tensors().items()})
-    mine = topology.contact(state, env.rules)[:, order][..., order]
-    theirs = topology.contact(renamed, env.rules)
-    require_equal(mine, theirs, f"robots renumbered as {order.tolist()} are in other contact")
+    permuted = topology.contact(state, env.rules)[:, order][..., order]
+    contact = topology.contact(renamed, env.rules)
+    require_equal(permuted, contact, f"robots renumbered as {order.tolist()} have other contacts")
 
 
-def a_batch_is_its_worlds_one_by_one(make: Maker) -> None:
-    """A world's contact is what it is alone, over resets too."""
+def a_batch_equals_each_world_alone(make: Maker) -> None:
+    """A world's contact is what it is alone, across resets too."""
     settings = ("env.stuck_after=4",)
     actions = drawn_actions(STEPS, 4)
 
@@ -93,12 +93,12 @@ def a_batch_is_its_worlds_one_by_one(make: Maker) -> None:
     together = contacts(actions, num_envs=4)
     for world in range(4):
         alone = contacts(actions[:, world : world + 1], num_envs=1, first_env=world)
-        broken = f"world {world} of 4 is in other contact alone"
+        broken = f"world {world} of 4 has other contacts alone"
         require_equal(together[:, world], alone[:, 0], broken)
 
 
 def without_positions_it_is_a_graph_or_refused(make: Maker) -> None:
-    """Where an env tells no positions, contact is a fixed graph or BadInput."""
+    """Where an env has no positions, contact is a fixed graph or BadInput."""
     for n_agents in (1, 2, 5):
         try:
             graph = make().among(n_agents)
@@ -110,7 +110,7 @@ def without_positions_it_is_a_graph_or_refused(make: Maker) -> None:
 
 
 def _started(make: Maker) -> tuple[Topology, State, CleaningEnv]:
-    """A topology, and worlds with maps of each robot's own some steps into an episode."""
+    """A topology, and worlds with private maps some steps into an episode."""
     topology = make()
     env = make_worlds([topology], settings=("env.memory=private",))
     env.rollout(STEPS, break_when_any_done=False)
@@ -119,8 +119,8 @@ def _started(make: Maker) -> tuple[Topology, State, CleaningEnv]:
 
 CLAUSES: tuple[Clause, ...] = (
     contact_is_mutual_and_in_the_spec,
-    asking_changes_nothing_and_gives_the_same_again,
+    reading_contact_changes_nothing,
     relabelling_the_robots_relabels_contact,
-    a_batch_is_its_worlds_one_by_one,
+    a_batch_equals_each_world_alone,
     without_positions_it_is_a_graph_or_refused,
 )

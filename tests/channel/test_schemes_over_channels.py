@@ -50,7 +50,7 @@ def test_robots_relabelled_with_their_draws_relabel_the_result(level: str, stack
 
 
 @over_all
-def test_a_batch_is_its_worlds_one_by_one(stack: Stack) -> None:
+def test_a_batch_equals_each_world_alone(stack: Stack) -> None:
     net, inputs = network(make("commnet"), stack), frames(3, 4, n_agents=3)
     together = features(play(net, inputs))
     for world in range(4):

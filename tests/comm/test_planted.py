@@ -177,7 +177,7 @@ SETTINGS = {
         (
             SilentCounted,
             comm.robots_out_of_reach_change_nothing_unless_it_dilutes,
-            "without robot 2, whom nobody reaches it has another feature: at",
+            "without robot 2, which no other reaches, it has another feature: at",
         ),
         (
             FarOff,
@@ -211,8 +211,8 @@ SETTINGS = {
         ),
         (
             OverWorlds,
-            comm.a_batch_is_its_worlds_one_by_one,
-            "feature of world 0 of 5 is another alone: at",
+            comm.a_batch_equals_each_world_alone,
+            "feature of world 0 of 5 differs alone: at",
         ),
         (Idle, comm.every_weight_learns, "idle.weight gets no gradient"),
         (Wide, comm.shapes, r"feature is \[1, 8\], not \[1, 9\]"),

@@ -77,7 +77,7 @@ class TooShort(Right):
         (OverWorlds, "world 0 of 5 has other features alone: at"),
         (Noisy, "changes the features of robot 0"),
         (Idle, "idle.weight gets no gradient"),
-        (ByNumber, "robots see the same, and have other features: at"),
+        (ByNumber, "robots see the same, but have other features: at"),
         (TooShort, r"gives torch.float32 \[3, 5\] for \[3, 8\]"),
     ],
 )

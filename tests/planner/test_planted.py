@@ -42,8 +42,8 @@ class Nameless(SeesWhatIsClean):
     [
         (SeesWhatIsClean, "reads what no robot knows: step 0, env.sensor=bump"),
         (OutOfRange, "actions from 1 to 4; valid: 0 to 3"),
-        (OverWorlds, "it acts otherwise alone: at"),
-        (Impatient, "asked twice in step 0: at"),
+        (OverWorlds, "it acts differently alone: at"),
+        (Impatient, "differs when called twice in step 0: at"),
         (Nameless, "not one short line"),
     ],
 )

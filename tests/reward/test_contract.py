@@ -29,10 +29,10 @@ def in_place(self, own_reward, adjacency):
 @pytest.mark.parametrize(
     ("pay", "broken"),
     [
-        (by_number, "are paid otherwise: at"),
-        (in_place, "changes the own rewards that it is given: at"),
-        (lambda self, own, live: own, "gives its input"),
-        (lambda self, own, live: own - own.mean(), "is paid otherwise alone: at"),
+        (by_number, "are paid differently: at"),
+        (in_place, "changes the own rewards in place: at"),
+        (lambda self, own, live: own, "returns its input"),
+        (lambda self, own, live: own - own.mean(), "is paid differently alone: at"),
         (lambda self, own, live: own / own.abs().min() / 0, "is not finite"),
         (lambda self, own, live: own.squeeze(-1) + 0, "pay gives torch.float32"),
     ],

@@ -67,8 +67,8 @@ class OneWayAmong(Right):
     [
         (OneWay, "not mutual at"),
         (WithItself, "in contact with itself at"),
-        (ByNumber, r"renumbered as \[2, 0, 1\] are in other contact: at"),
-        (ByTheOthers, "in other contact alone: at"),
+        (ByNumber, r"renumbered as \[2, 0, 1\] have other contacts: at"),
+        (ByTheOthers, "has other contacts alone: at"),
         (Moving, "contact changes the worlds' visited: at"),
         (Numbers, "bool"),
         (OneWayAmong, r"among\(2\): contact is not mutual"),
