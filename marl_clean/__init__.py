@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from marl_clean.python.run import Run
     from marl_clean.python.table import Table
 else:
-    _HOMES = {
+    _MODULES = {
         "BadInput": "errors",
         "CleaningEnv": "env.cleaning",
         "Run": "python.run",
@@ -42,10 +42,10 @@ else:
     }
 
     def __getattr__(name: str) -> Any:
-        """Import what is asked for when it is asked for."""
-        if name not in _HOMES:
+        """Import a public name when it is first used."""
+        if name not in _MODULES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
 
     def __dir__() -> list[str]:
         return sorted({*globals(), *__all__})

@@ -14,7 +14,7 @@ DISTANCE_RANK = (AGENTS, "distance_rank")  # *B n n int64, 0 itself, 1 the neare
 
 ACTION = (AGENTS, "action")  # *B n int64: 0 up, 1 right, 2 down, 3 left
 ACTION_MASK = (AGENTS, "action_mask")  # *B n 4 bool: true where an action may be chosen
-DEMONSTRATION = (AGENTS, "demonstration")  # *B n int64: what a planner does; -1: not asked
+DEMONSTRATION = (AGENTS, "demonstration")  # *B n int64: a planner's action; -1: none recorded
 ACTION_VALUE = (AGENTS, "action_value")  # *B n 4 float32
 LOGITS = (AGENTS, "logits")  # *B n 4 float32, of a policy that draws its actions
 LOG_PROB = (AGENTS, "action_log_prob")  # *B n float32: of the action drawn
@@ -24,7 +24,7 @@ VALUE_TARGET = (AGENTS, "value_target")  # *B n 1 float32
 CHOSEN_ACTION_VALUE = (AGENTS, "chosen_action_value")  # *B n 1 float32
 TEAM_VALUE = "chosen_action_value"  # *B 1 float32: the robots' chosen values, mixed
 JOINT_ACTION = "joint_action"  # *B int64, base 4, robot 0 the lowest digit
-JOINT_ACTION_MASK = "joint_action_mask"  # *B 4^n bool: no robot's part in it is masked
+JOINT_ACTION_MASK = "joint_action_mask"  # *B 4^n bool: false where any robot's action is masked
 JOINT_ACTION_VALUE = "joint_action_value"  # *B 4^n float32
 CHOSEN_JOINT_ACTION_VALUE = "chosen_joint_action_value"  # *B 1 float32
 MESSAGE = (AGENTS, "message")  # *B n M float32: what each robot sent
@@ -35,9 +35,9 @@ CHANNEL_SEED = (
     AGENTS,
     "channel_seed",
 )  # *B n int64 in [0, 2^32): for what channels and policies draw
-INBOX = (AGENTS, "inbox")  # *B n age number float32: messages under way, and whom they reach
+INBOX = (AGENTS, "inbox")  # *B n age number float32: messages under way, and their receivers
 OUTBOX = (AGENTS, "outbox")  # the same, of a scheme whose messages are heard later by definition
-BURST = (AGENTS, "burst")  # *B n n bool, [i, j]: the way from j to i is in a burst of losses
+BURST = (AGENTS, "burst")  # *B n n bool, [i, j]: the edge from j to i is in a burst of losses
 FROZEN = (AGENTS, "frozen")  # *B n number float32: first messages, while evaluation freezes them
 LATE = (AGENTS, "late")  # as inbox, while evaluation delays messages
 HIDDEN = (AGENTS, "hidden")  # *B n d float32: a recurrent encoder's memory
@@ -51,7 +51,7 @@ OWN_REWARD = (AGENTS, "own_reward")  # *B n 1 float32: what it earned itself in 
 INFO_STEP = (AGENTS, "info", "step")  # *B n 1 float32, the three terms of own_reward
 INFO_CLEANING = (AGENTS, "info", "cleaning")
 INFO_DISCOVERY = (AGENTS, "info", "discovery")
-INFO_SHAPING = (AGENTS, "info", "shaping")  # of no own_reward, in reward alone
+INFO_SHAPING = (AGENTS, "info", "shaping")  # part of reward, not of own_reward
 EPISODE_REWARD = (AGENTS, "episode_reward")  # *B n 1 float32: sum of reward so far
 
 DONE = "done"  # *B 1 bool

@@ -1,4 +1,4 @@
-"""The cleaning world as a PettingZoo environment, for anybody's learners.
+"""The cleaning world as a PettingZoo environment, for learners from elsewhere.
 
 >>> from marl_clean import pettingzoo
 >>> env = pettingzoo.parallel_env(n_agents=3, house="open", action_masks=True)
@@ -41,7 +41,7 @@ RENDER_MODES = ("human", "rgb_array", "ansi")
 
 
 Seen = np.ndarray | dict[str, np.ndarray]
-"""What one robot is shown: an array, or a dict where there is more than its observation."""
+"""What one robot sees: an array, or a dict where there is more than its observation."""
 
 
 class ParallelCleaning(ParallelEnv[str, Seen, int]):
@@ -54,10 +54,10 @@ class ParallelCleaning(ParallelEnv[str, Seen, int]):
     Discrete(4): 0 up (row - 1), 1 right (col + 1), 2 down (row + 1), 3 left (col - 1).
 
     ## Observations
-    Box: what the config's `observation` shows one robot. With `adjacency=True` or
-    `action_masks=True` a Dict, which holds it as `observation`, and as asked for `adjacency`, a
-    row of n with 1 for every robot in contact, and `action_mask`, 1 for every action that does
-    not lead into a wall as far as the robot's own map knows (all 1 where it knows of no way).
+    Box: the config's `observation` of one robot. With `adjacency=True` or `action_masks=True` a
+    Dict, which holds it as `observation`, and, where requested, `adjacency`, a row of n with 1 for
+    every robot in contact, and `action_mask`, 1 for every action that leads into no wall known to
+    the robot's own map (all 1 where all four are known walls).
 
     ## Rewards
     What the robot is paid by the config's `reward`. Infos hold the three terms it earned itself,
@@ -72,7 +72,7 @@ class ParallelCleaning(ParallelEnv[str, Seen, int]):
     robots at once; `agents` is empty then.
 
     ## References
-    The rules are those of `marl_clean.world`; played step by step this is the world of
+    The rules are those of `marl_clean.world`; step for step this is the world of
     `marl_clean.make_env` with `env.num_envs=1`.
 
     ## Version history
@@ -151,32 +151,32 @@ class ParallelCleaning(ParallelEnv[str, Seen, int]):
         dict[str, bool],
         dict[str, dict[str, float]],
     ]:
-        """Play one action of every robot; after the end no actions give nothing."""
+        """Step with one action of every robot; after the end, no actions return empty dicts."""
         if not self.agents and not actions:
             return {}, {}, {}, {}, {}
         self._now[keys.ACTION] = torch.tensor([self._checked(actions)], device=self.world.device)
-        later = self.batched.step(self._now)["next"]
+        frame = self.batched.step(self._now)["next"]
         self._now = step_mdp(self._now)
-        reward = dict(zip(self.agents, later[keys.REWARD].flatten().tolist(), strict=True))
-        terms = {name: later[keys.AGENTS, "info", name] for name in REWARD_TERMS}
-        terms["own_reward"] = later[keys.OWN_REWARD]
+        reward = dict(zip(self.agents, frame[keys.REWARD].flatten().tolist(), strict=True))
+        terms = {name: frame[keys.AGENTS, "info", name] for name in REWARD_TERMS}
+        terms["own_reward"] = frame[keys.OWN_REWARD]
         listed = {name: term.flatten().tolist() for name, term in terms.items()}
         infos = {
             agent: {name: term[index] for name, term in listed.items()}
             for index, agent in enumerate(self.agents)
         }
         terminated, truncated = (
-            dict.fromkeys(self.agents, bool(later[key]))
+            dict.fromkeys(self.agents, bool(frame[key]))
             for key in (keys.TERMINATED, keys.TRUNCATED)
         )
         observations = self._observations()
-        if later[keys.DONE]:
+        if frame[keys.DONE]:
             self.agents = []
         self._show()
         return observations, reward, terminated, truncated, infos
 
     def state(self) -> Float[np.ndarray, "row col"]:
-        """Return what all robots know between them: the union of their maps, each robot as 1.
+        """Return what all robots know together: the union of their maps, each robot as 1.
 
         As large as the largest house; what lies outside a smaller one is unknown.
         """
@@ -188,8 +188,8 @@ class ParallelCleaning(ParallelEnv[str, Seen, int]):
     def render(self) -> np.ndarray | str | None:
         """Return the house beside the robots' map, as pixels or as coloured text.
 
-        Before the first reset it shows the world as that will begin it, unless another seed is
-        given. `human`, written to the terminal at every step, returns nothing.
+        Before the first reset it shows the world as a reset without another seed will begin it.
+        `human`, written to the terminal at every step, returns nothing.
         """
         if self.render_mode is None:
             raise BadInput(
@@ -204,12 +204,12 @@ class ParallelCleaning(ParallelEnv[str, Seen, int]):
         return None
 
     def close(self) -> None:
-        """Let go of nothing: there is no window and no process."""
+        """Do nothing: there is no window and no process."""
 
     def _checked(self, actions: Mapping[str, Any]) -> list[int]:
-        """Return the actions in the robots' order. Raises BadInput where they are not one each."""
+        """Return the actions in the robots' order. Raises BadInput unless each robot has one."""
         if not self.agents:
-            raise BadInput("step: no episode is being played; call reset")
+            raise BadInput("step: no episode is under way; call reset")
         if set(actions) != set(self.agents):
             wrong = sorted(map(str, set(actions) ^ set(self.agents)))
             raise BadInput(
@@ -258,7 +258,7 @@ def parallel_env(
             `env.num_envs` has no effect.
         adjacency: robots see which others they are in contact with.
         action_masks: robots see which actions lead into no wall that they know of.
-        render_mode: what `render` gives: human, rgb_array, ansi; None: nothing.
+        render_mode: what `render` returns: human, rgb_array, ansi; None: nothing.
         keywords: settings as `marl_clean.make_env` takes them; `checkpoint=RUN` is a run's world.
 
     Raises:

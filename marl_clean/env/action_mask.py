@@ -17,9 +17,9 @@ from marl_clean.world.step import Entries
 class KnownWalls(WorldTransform):
     """Adds `("agents", "action_mask")`, bool `[*B, n, 4]`: false towards a wall the robot knows.
 
-    Of the map that the robot reads: shared, or its own. All true for a robot whose four
-    neighbours are known blocked, as they may be in a stale map. It is shown to whoever chooses;
-    the env itself takes every action.
+    It is computed from the map that the robot reads: shared, or its own. All true for a robot
+    whose four neighbours are known blocked, as they may be in a stale map. The mask is for
+    policies; the env itself accepts every action.
     """
 
     along = True

@@ -1,4 +1,4 @@
-"""What training asks of every level of this room, beside TorchRL's EnvBase."""
+"""What training needs of every level of this room, beyond TorchRL's EnvBase."""
 
 from typing import ClassVar
 
@@ -14,13 +14,13 @@ class BatchedEnv(EnvBase):
     """A batch of `num_envs` worlds, each with the same `n_agents` robots.
 
     What a robot is paid, `("agents", "reward")`, is its only reward; what it earned itself,
-    `("agents", "own_reward")`, is an observation, of which `marl_clean.reward` makes the
-    payment. Its constructor is handed the houses to play in where it has a
-    parameter `houses`, and who may talk to whom otherwise.
+    `("agents", "own_reward")`, is an observation, which `marl_clean.reward` turns into the
+    payment. Where its constructor has a parameter `houses` it receives the houses of the
+    episodes, otherwise the graph of who may talk to whom.
 
     Attributes:
-        resumes_exactly: `load_state_dict` brings back the middle of an episode; otherwise an
-            interrupted run begins new episodes.
+        resumes_exactly: `load_state_dict` restores the middle of an episode; otherwise a resumed
+            run begins new episodes.
     """
 
     n_agents: int
@@ -32,5 +32,5 @@ class BatchedEnv(EnvBase):
         return torch.randint(2**32, (self.num_envs, self.n_agents), device=self.device)
 
     def progress(self) -> dict[str, float]:
-        """Return what there is to tell of the worlds as they stand, for the log."""
+        """Return measures of the worlds' present state, for the log."""
         return {}

@@ -1,4 +1,4 @@
-"""The draws of channels, as a transform: a replayed frame holds its own and fares as it did."""
+"""The draws of channels, as a transform: frames hold them, so that a replay repeats them."""
 
 import torch
 from tensordict import TensorDictBase

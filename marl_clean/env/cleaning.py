@@ -1,4 +1,4 @@
-"""The TorchRL face of the cleaning world."""
+"""The cleaning world as a TorchRL env."""
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -67,8 +67,7 @@ class CleaningEnv(Compiling):
     ## Starting state
     A house drawn from `houses`, after `open_houses(k)` from the first k of them (or, with
     HouseOrder.FIXED, house i for env i), robots on distinct free cells: those of the plan, else
-    drawn. Everything drawn is a pure function of
-    (seed, env index, episode).
+    drawn. Everything drawn is a pure function of (seed, env index, episode).
 
     ## Episode end
     `terminated`: every free cell has been cleaned at least once. `truncated`: after `max_steps`,
@@ -86,18 +85,18 @@ class CleaningEnv(Compiling):
     torch.Size([4, 5, 3, 1])
 
     Args:
-        houses: the houses to play in.
+        houses: the houses of the episodes.
         rules: the readings of the paper; see `Rules`.
         n_agents: robots in each world.
-        num_envs: worlds played at once.
+        num_envs: worlds stepped together.
         max_steps: steps until truncation; null: 4 R C // n_agents + 50 of each house's own size.
         furniture_moves_per_episode: moves of one piece by one cell, drawn at reset.
         furniture_moves_before_start: with knowledge=stale, moves since the robots memorised.
         compile: compile the pure parts of a step (some 30 s once, several times faster after);
             TorchRL takes this argument from every env and calls `compile()`.
-        house_order: whether episodes draw their house, or env i always plays house i.
+        house_order: whether episodes draw their house, or env i always has house i.
         contact: who is in contact, for private and merged maps: a topology's `contact`.
-        first_env: index of the first world: env i of 64 is the only one of `first_env=i`.
+        first_env: index of the first world: env i of 64 equals a single env with `first_env=i`.
         seed: the seed of everything drawn.
         device: where the tensors live.
 
@@ -157,7 +156,7 @@ class CleaningEnv(Compiling):
 
     @property
     def rules(self) -> Rules:
-        """The readings of the paper that these worlds are stepped by."""
+        """The readings of the paper that these worlds follow."""
         return self.setup.rules
 
     @property
@@ -167,11 +166,11 @@ class CleaningEnv(Compiling):
 
     @property
     def num_open(self) -> int:
-        """Among how many of the houses new episodes draw theirs."""
+        """The number of houses from which new episodes draw theirs."""
         return self.setup.num_open
 
     def open_houses(self, count: int) -> None:
-        """Let episodes that start from now on draw among the first `count` houses alone."""
+        """Make episodes that start from now on draw from the first `count` houses only."""
         if not 1 <= count <= len(self.houses):
             raise BadInput(f"open_houses({count}): valid: 1 to {len(self.houses)}")
         self.setup = self.setup._replace(num_open=count)
@@ -190,7 +189,7 @@ class CleaningEnv(Compiling):
     ) -> tuple[State, step.Entries]:
         """Begin the next episode in the worlds `rows`.
 
-        Returns these worlds alone, and what `reads` observe in them, computed along the way.
+        Returns only these worlds, and what `reads` observe in them, computed in the same call.
         """
         episode = self.state.episode[rows] + self._started
         for index in (rows, episode):  # compiled once for any number of worlds, not for each
@@ -210,8 +209,7 @@ class CleaningEnv(Compiling):
         """Advance all worlds a step and return its frame, with what is computed `along`.
 
         Raises:
-            BadInput: an action that is none of 0 to 3. Where it would be waited for, which is on
-                a GPU, nobody looks.
+            BadInput: an action outside 0 to 3. Not checked on a GPU, where it would synchronise.
         """
         check_actions(action)
         state, setup, rules = self.state, self.setup, self.setup.rules
@@ -248,10 +246,10 @@ class CleaningEnv(Compiling):
         return saved
 
     def load_state_dict(self, state_dict: Mapping[str, Tensor], *args: Any, **kwargs: Any) -> None:
-        """Put the env exactly where `state_dict` was taken.
+        """Restore exactly the state that `state_dict` returned.
 
         Raises:
-            BadInput: the state is of other sizes or names than this env's.
+            BadInput: the state's sizes or names differ from this env's.
         """
         tensors = {
             name: value for name, value in state_dict.items() if name in State.__annotations__
@@ -272,11 +270,11 @@ class CleaningEnv(Compiling):
         return random_bits(self.seed_in_use, *words)
 
     def progress(self) -> dict[str, float]:
-        """Return the share of free cells cleaned so far, mean over the worlds now played."""
+        """Return the share of free cells cleaned so far, mean over the worlds."""
         return {"coverage": float((self.state.num_visited.double() / self.state.num_free).mean())}
 
     def scene(self, env_index: int = 0) -> Scene:
-        """Return one world as it stands, to be drawn: the truth, what robots know, who talks."""
+        """Return one world's present state to draw: truth, the robots' map, and contacts."""
         setup = self.setup
         contact = None if setup.contact is None else setup.contact(self.state, setup.rules)
         return scene_of(self.state, self.rules, env_index, contact)
@@ -284,15 +282,15 @@ class CleaningEnv(Compiling):
     def render(
         self, env_index: int = 0, cell_pixels: int | None = None
     ) -> UInt8[np.ndarray, "h w 3"]:
-        """Return one world as an RGB frame: the truth beside what the robots know of it.
+        """Return one world as an RGB frame: the truth beside the robots' map.
 
-        `cell_pixels`: the side of a cell; None: as fits the house.
+        `cell_pixels`: the side of a cell; None: chosen by the size of the house.
         """
         return draw(self.scene(env_index), cell_pixels)
 
 
 def check_actions(action: Int[Tensor, "env agent"]) -> None:
-    """Raises BadInput for an action that is none of MOVES; on a CPU alone, where it is at hand."""
+    """Raises BadInput for an action outside MOVES; only on a CPU, where it costs no waiting."""
     if action.device.type != "cpu" or not action.numel():
         return
     lowest, highest = torch.aminmax(action)

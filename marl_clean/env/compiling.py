@@ -14,7 +14,7 @@ OPTIONS = {
 
 
 class Compiling(BatchedEnv):
-    """An env whose `compile` compiles the pure functions that it asks `compiled` for."""
+    """An env whose `compile` compiles the pure functions that it calls by `compiled`."""
 
     _compiled: dict[Callable, Callable] | None = None
     _compile_kwargs: dict[str, Any]
@@ -22,8 +22,8 @@ class Compiling(BatchedEnv):
     def compile(self, *, warmup: int | None = None, **kwargs: Any) -> "Compiling":
         """Compile the pure functions of a step, each on its own, and return the env.
 
-        Not `step_and_maybe_reset` as a whole, as TorchRL does: how many worlds begin anew is
-        another number each time. `kwargs` go to `torch.compile`; there is nothing to warm up.
+        Not `step_and_maybe_reset` as a whole, as TorchRL does: the number of worlds that reset
+        varies from step to step. `kwargs` go to `torch.compile`; there is nothing to warm up.
         """
         self._compiled, self._compile_kwargs = {}, kwargs
         return self
@@ -31,8 +31,8 @@ class Compiling(BatchedEnv):
     def compiled(self, function: Callable, *, wide: bool = False) -> Callable:
         """Return the function compiled, once, where the env is; else as it is.
 
-        `wide` says that its innermost loops are long, as those over a view are. Loops over the
-        robots of a world are short: vectorised on a CPU, `advance_` took six times as long.
+        `wide`: its innermost loops are long, such as those over a view. Loops over the robots of
+        a world are short: vectorised on a CPU, `advance_` took six times as long.
         """
         if self._compiled is None:
             return function

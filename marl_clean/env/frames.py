@@ -1,4 +1,4 @@
-"""What the cleaning env tells of a moment, as TensorDicts."""
+"""What the cleaning env returns from resets and steps, as TensorDicts."""
 
 import torch
 from tensordict import TensorDict
@@ -22,9 +22,9 @@ def first_frame(state: State) -> TensorDict:
 
 
 def next_frame(state: State, outcome: Outcome, settled: Settled) -> TensorDict:
-    """Return the frame after a step: places, what each robot earned and why, what ended.
+    """Return the frame after a step: positions, what each robot earned and why, what ended.
 
-    A robot is paid what it earned, where no split of rewards says otherwise.
+    A robot is paid what it earned unless a reward split says otherwise.
     """
     terms = (outcome.step_term, outcome.cleaning_term, outcome.discovery_term)
     info = _of_robots(state, dict(zip(REWARD_TERMS, terms, strict=True)))

@@ -1,4 +1,4 @@
-"""The true state of the world, as a transform: known to mixers in learning, and to no robot."""
+"""The true state of the world, as a transform: for mixers and critics in learning, for no robot."""
 
 import torch
 from jaxtyping import Bool
@@ -17,9 +17,10 @@ PLANES = ("blocked", "cleaned", "robots")
 
 
 class GlobalState(WorldTransform):
-    """Adds `"state"`, bool `[*B, 3, R, C]`: where it is blocked, cleaned already, a robot.
+    """Adds `"state"`, bool `[*B, 3, R, C]`: blocked cells, cleaned cells, robots.
 
-    R and C are those of the largest house; a smaller one lies at the top left, blocked around.
+    R and C are those of the largest house; a smaller house is padded with blocked cells below and
+    to the right.
     """
 
     def read(self, state: State, setup: Setup) -> Entries:
@@ -31,7 +32,7 @@ class GlobalState(WorldTransform):
 
 
 def planes(state: State, margin: int) -> Bool[Tensor, "env plane row col"]:
-    """Spread the true state over planes."""
+    """Return the true state as boolean planes."""
     inner = slice(margin, -margin)
     blocked, cleaned = (m[:, inner, inner] for m in (state.blocked, state.visited))
     robots = torch.zeros_like(blocked)

@@ -1,4 +1,4 @@
-"""From houses as drawn (NumPy) to the tensors that episodes start from."""
+"""From drawn houses (NumPy) to the tensors that episodes start from."""
 
 import numpy as np
 import torch
@@ -44,7 +44,7 @@ def house_tensors(
         free_labels=labels.to(device),
         num_free=flat.sum(1).to(device),
         max_steps=step_limits(rows, cols, n_agents, max_steps).to(device),
-        starts=_given_starts(houses, n_agents).to(device),
+        starts=_plan_starts(houses, n_agents).to(device),
     )
 
 
@@ -56,10 +56,10 @@ def step_limits(
     return limits if max_steps is None else torch.full_like(limits, max_steps)
 
 
-def _given_starts(houses: Houses, n_agents: int) -> Tensor:
+def _plan_starts(houses: Houses, n_agents: int) -> Tensor:
     """Return [house, agent, 2]: the plan's first starts, -1 for those to be drawn."""
     starts = torch.full((len(houses.free), n_agents, 2), -1)
     if houses.starts is not None:
-        given = torch.from_numpy(houses.starts)[:, :n_agents]
-        starts[:, : given.shape[1]] = given
+        of_plan = torch.from_numpy(houses.starts)[:, :n_agents]
+        starts[:, : of_plan.shape[1]] = of_plan
     return starts

@@ -20,26 +20,26 @@ from marl_clean.errors import BadInput
 from marl_clean.settings import Form, Options, Task, Worlds
 from marl_clean.world.random import Purpose, random_bits
 
-# By constructors and registries of others that are given wrong options or names.
+# By constructors and registries of external packages, for wrong options or names.
 RAISED = (AssertionError, AttributeError, KeyError, RuntimeError, TypeError, ValueError)
 Among = Callable[[int], Bool[Tensor, "agent agent"]]
 
 
 @final
 class PettingZoo(BatchedEnv):
-    """Somebody else's task, through PettingZoo: other agents than robots, the same learners.
+    """An external task, through PettingZoo: other agents than robots, the same learners.
 
     ## Description
     `num_envs` copies of the parallel env `task`, each through TorchRL's PettingZooWrapper with
-    all agents in the group `agents`. The rooms house, observation and planner have no say.
+    all agents in the group `agents`. The rooms house, observation and planner have no effect.
 
     ## Actions
     `("agents", "action")`, int64 `[num_envs, n_agents]`: the task's own, discrete.
 
     ## Observations
     `("agents", "observation")`, float32 `[num_envs, n_agents, d]`: the task's, flattened.
-    `("agents", "adjacency")`, the topology's, always the same: a task tells no positions.
-    `("agents", "distance_rank")`: for want of distances the others in the task's order.
+    `("agents", "adjacency")`, the topology's, always the same: a task has no positions.
+    `("agents", "distance_rank")`: without distances, the others in the task's order.
     `("agents", "own_reward")`, float32 `[num_envs, n_agents, 1]`: what each agent earned in the
     last step; 0 after a reset.
 
@@ -51,28 +51,28 @@ class PettingZoo(BatchedEnv):
     Each episode is reset with a seed that is a function of (seed, env index, episode).
 
     ## Episode end
-    As soon as it ends for one agent: `terminated` if any is, `truncated` if any is. A task in
-    which agents drop out one by one is so cut at the first.
+    As soon as it ends for one agent: `terminated` if any is, `truncated` if any is. A task whose
+    agents drop out one by one thus ends with the first of them.
 
-    ## Going on
-    An external task cannot be saved in the middle of an episode: a run that goes on keeps
-    counting its episodes and begins new ones.
+    ## Resuming
+    An external task cannot be saved in the middle of an episode: a resumed run keeps counting its
+    episodes and begins new ones.
 
     Args:
         task: `mpe2.NAME` or `pettingzoo.FAMILY.NAME`; nothing else is imported.
-        num_envs: copies played at once.
+        num_envs: copies stepped together.
         options: of the task's constructor, such as N of simple_spread.
         among: who may talk to whom among n agents: a topology's `among`.
-        first_env: index of the first copy: env i of 64 is the only one of `first_env=i`.
+        first_env: index of the first copy: env i of 64 equals a single env with `first_env=i`.
         seed: the seed of everything drawn.
         device: where the tensors live; the task itself runs on the CPU.
 
     Raises:
-        BadInput: a task that is not installed, does not begin, or whose agents differ in what
-            they see or can do.
+        BadInput: a task that is not installed, fails to start, or whose agents differ in what they
+            see or can do.
     """
 
-    episode: Int[Tensor, " env"]  # which each copy plays
+    episode: Int[Tensor, " env"]  # the present one of each copy
     batch_locked = True
     resumes_exactly: ClassVar[bool] = False
     gives = Form.VECTOR
@@ -126,7 +126,7 @@ class PettingZoo(BatchedEnv):
 
     @property
     def episode_seeds(self) -> Int[Tensor, " env"]:
-        """The seeds with which the episodes now played were reset."""
+        """The seeds with which the present episodes were reset."""
         return random_bits(self.seed_in_use, self.env_index, self.episode, Purpose.START)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
@@ -137,14 +137,14 @@ class PettingZoo(BatchedEnv):
         self.episode = self.episode + resets
         seeds = self.episode_seeds
         width = self.observation_spec[keys.OBSERVATION].shape[-1]
-        # TorchRL takes nothing but the rows that reset.
+        # TorchRL uses only the rows that reset.
         seen = torch.zeros(self.num_envs, self.n_agents, width)
         for row in resets.nonzero()[:, 0].tolist():
             begun = self.copies[row].reset(seed=int(seeds[row]))
             seen[row] = begun[keys.OBSERVATION].flatten(1)
         no_end = torch.zeros(self.num_envs, 1, dtype=torch.bool)
         entries = {"observation": seen, "own_reward": torch.zeros_like(seen[..., :1])}
-        return self._answer(entries, [no_end.clone() for _ in keys.ENDINGS])
+        return self._frame(entries, [no_end.clone() for _ in keys.ENDINGS])
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         chosen = tensordict.select(keys.ACTION).cpu()
@@ -152,16 +152,16 @@ class PettingZoo(BatchedEnv):
         if wrong := action[(action < 0) | (action >= count)].tolist():
             raise BadInput(f"action {wrong[0]}: valid: 0 to {count - 1}")
         # As TorchRL's SerialEnv does it: `step` would check each copy's every entry again.
-        later = [
+        frames = [
             copy._step(action) for copy, action in zip(self.copies, chosen.unbind(0), strict=True)
         ]
-        seen = torch.stack([one[keys.OBSERVATION] for one in later]).flatten(2)
-        earned = torch.stack([one[keys.REWARD] for one in later])
-        endings = [torch.stack([one[key] for one in later]) for key in keys.ENDINGS]
+        seen = torch.stack([frame[keys.OBSERVATION] for frame in frames]).flatten(2)
+        earned = torch.stack([frame[keys.REWARD] for frame in frames])
+        endings = [torch.stack([frame[key] for frame in frames]) for key in keys.ENDINGS]
         entries = {"observation": seen.float(), "own_reward": earned, "reward": earned.clone()}
-        return self._answer(entries, endings)
+        return self._frame(entries, endings)
 
-    def _answer(self, entries: dict[str, Tensor], endings: list[Tensor]) -> TensorDict:
+    def _frame(self, entries: dict[str, Tensor], endings: list[Tensor]) -> TensorDict:
         shape = [self.num_envs, self.n_agents]
         agents = TensorDict({**entries, **self.graph}, shape)
         flags = dict(zip(keys.ENDINGS, endings, strict=True))
@@ -178,14 +178,14 @@ class PettingZoo(BatchedEnv):
         self.episode = torch.full((self.num_envs,), -1)
 
     def state_dict(self, *args: Any, **kwargs: Any) -> OrderedDict[str, Tensor]:
-        """Return the seed and which episode each copy plays; where it stands cannot be told."""
+        """Return the seed and each copy's episode; its state within the episode is unknown."""
         return OrderedDict(seed=torch.tensor(self.seed_in_use), episode=self.episode.clone())
 
     def load_state_dict(self, state_dict: Mapping[str, Tensor], *args: Any, **kwargs: Any) -> None:
-        """Go on counting episodes; the next reset begins those after the ones then played.
+        """Resume the count of episodes; the next reset begins those after the saved ones.
 
         Raises:
-            BadInput: the state is of another number of copies.
+            BadInput: the state has another number of copies.
         """
         if state_dict["episode"].shape != self.episode.shape:
             raise BadInput("env state: sizes differ from this env's; same config needed")
@@ -193,7 +193,7 @@ class PettingZoo(BatchedEnv):
         self.episode = state_dict["episode"].clone()
 
     def close(self, *, raise_if_closed: bool = True) -> None:
-        """Close the copies, and with them what windows and files they hold."""
+        """Close the copies, and with them their windows and files."""
         if not self.is_closed:
             for copy in self.copies:
                 copy.close()
@@ -205,11 +205,11 @@ def wrapped(task: str, options: Mapping[str, Any]) -> PettingZooWrapper:
     if reason := mismatch(task, Task):
         raise BadInput(f"env.task: {reason}")
     try:
-        env = made(task, options)
-        reason = unlike(env)
+        env = make_parallel(task, options)
+        reason = not_shared(env)
         if reason is None:
             with warnings.catch_warnings():
-                # Of every version but one of 2023; the tests of this package are of the pinned.
+                # It warns of all versions except one of 2023; our tests cover the pinned one.
                 warnings.filterwarnings("ignore", "PettingZoo in TorchRL is tested")
                 return PettingZooWrapper(env, group_map={keys.AGENTS: list(env.possible_agents)})
     except ModuleNotFoundError as error:
@@ -218,12 +218,12 @@ def wrapped(task: str, options: Mapping[str, Any]) -> PettingZooWrapper:
         missing = f"needs {error.name}, which is not installed; pip install {error.name}"
         reason = f"{package} has no such task" if known else missing
     except RAISED as error:
-        reason = f"{type(error).__name__}: {(str(error) or 'it does not begin').splitlines()[0]}"
+        reason = f"{type(error).__name__}: {(str(error) or 'it fails to start').splitlines()[0]}"
     raise BadInput(f"env.task={task}: {reason}")
 
 
-def made(task: str, options: Mapping[str, Any]) -> Any:
-    """Return the bare parallel env: of PettingZoo's registry, or of one of mpe2's modules."""
+def make_parallel(task: str, options: Mapping[str, Any]) -> Any:
+    """Return the bare parallel env, from PettingZoo's registry or one of mpe2's modules."""
     package, *family, name = task.split(".")
     if package == "pettingzoo":
         name, _, version = name.rpartition("_v")
@@ -236,8 +236,8 @@ def made(task: str, options: Mapping[str, Any]) -> Any:
     return importlib.import_module(task).parallel_env(**options)
 
 
-def unlike(env: Any) -> str | None:
-    """Tell why one network cannot act for all agents of a task; None where it can."""
+def not_shared(env: Any) -> str | None:
+    """Return why one network cannot act for all agents of a task; None where it can."""
     agents = env.possible_agents
     env.reset(seed=0)
     if list(env.agents) != list(agents):
@@ -246,13 +246,12 @@ def unlike(env: Any) -> str | None:
         ("sees", [env.observation_space(agent) for agent in agents], "Box"),
         ("does", [env.action_space(agent) for agent in agents], "Discrete"),
     ):
-        if odd := [space for space in spaces if type(space).__name__ != kind]:
-            return (
-                f"what an agent {what} must be a {kind}, not {' '.join(str(odd[0]).split())[:80]}"
-            )
+        if wrong := [space for space in spaces if type(space).__name__ != kind]:
+            text = " ".join(str(wrong[0]).split())[:80]
+            return f"what an agent {what} must be a {kind}, not {text}"
         shapes = {
             (space.shape, getattr(space, "n", 0), getattr(space, "start", 0)) for space in spaces
         }
         if len(shapes) > 1 or (kind == "Discrete" and spaces[0].start):
-            return f"what an agent {what} must be of one size for all, as in simple_spread"
+            return f"what an agent {what} must have the same size for all, as in simple_spread"
     return None

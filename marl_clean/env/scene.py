@@ -12,7 +12,7 @@ from marl_clean.world.state import State
 def scene_of(
     state: State, rules: Rules, env_index: int, contact: torch.Tensor | None = None
 ) -> Scene:
-    """Copy world `env_index` to the host: truth, the union of the robots' maps, who talks.
+    """Copy world `env_index` to the host: truth, the union of the robots' maps, contacts.
 
     `contact`: bool [env, agent, agent] of the batch, where edges are to be drawn.
     """

@@ -1,8 +1,8 @@
-"""Potential-based reward shaping, as two transforms: the potential, and what it pays.
+"""Potential-based reward shaping, as two transforms: the potential, and the shaping term.
 
 A robot is also paid w (gamma phi' - phi) for the step from a state of potential phi to one of
-phi'. Discounted and summed over an episode that is -w phi of its first state, whatever the robot
-does, so that the best policies stay the best (Ng, Harada and Russell, "Policy invariance under
+phi'. Discounted and summed over an episode this is -w phi of its first state, whatever the robot
+does, so that optimal policies stay optimal (Ng, Harada and Russell, "Policy invariance under
 reward transformations", ICML 1999).
 """
 
@@ -25,7 +25,7 @@ from marl_clean.world.step import Entries
 class Potential(WorldTransform):
     """Adds `("agents", "potential")`, float32 `[*B, n, 1]`: phi, see `marl_clean.world.potential`.
 
-    A frame holds it as it holds the adjacency: what is paid for a step depends on the frame before.
+    A frame holds it like the adjacency: what a step pays depends on the frame before it.
     """
 
     def read(self, state: State, setup: Setup) -> Entries:
@@ -39,15 +39,15 @@ class Potential(WorldTransform):
 class Shaping(Transform):
     """Adds w (gamma phi' - phi) to what each robot earns, and then splits the reward.
 
-    phi' is 0 where the episode terminated; at truncation it is what it is, as the learner
-    bootstraps there. Writes `("agents", "info", "shaping")`, 0 after a reset, and
-    `("agents", "reward")`; `own_reward` is left as it is.
+    phi' is 0 where the episode terminated; at truncation it is kept, since the learner bootstraps
+    there. Writes `("agents", "info", "shaping")`, 0 after a reset, and `("agents", "reward")`;
+    `own_reward` is left unchanged.
 
     Attributes:
-        gamma: the learner's discount, which a training sets anew where it changes over the run.
+        gamma: the learner's discount, which training updates where it changes over the run.
 
     Args:
-        split: what each robot is paid of what all earn.
+        split: turns what all robots earn into what each is paid.
         weight: w.
         gamma: the learner's discount at first.
     """

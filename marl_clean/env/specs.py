@@ -1,4 +1,4 @@
-"""What goes into and comes out of a `CleaningEnv`, as TorchRL specs."""
+"""The TorchRL specs of a `CleaningEnv`."""
 
 import torch
 from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Unbounded
@@ -14,21 +14,21 @@ def make_specs(
 ) -> tuple[Composite, Composite, Composite, Composite]:
     """Return the specs of actions, observations, rewards and endings."""
     agents = torch.Size([num_envs, n_agents])
-    one = torch.Size([*agents, 1])
+    scalar = torch.Size([*agents, 1])
 
     def of_agents(**specs: TensorSpec) -> Composite:
         return Composite(agents=Composite(**specs, shape=agents), shape=agents[:1])
 
     places = torch.Size([*agents, 2])
-    terms = Composite({name: Unbounded(one) for name in REWARD_TERMS}, shape=agents)
+    terms = Composite({name: Unbounded(scalar) for name in REWARD_TERMS}, shape=agents)
     flag = Binary(1, torch.Size([num_envs, 1]), dtype=torch.bool)
     return (
         of_agents(action=Categorical(len(MOVES), shape=agents)),
         of_agents(
             position=Bounded(0, largest_side, shape=places, dtype=torch.int64),
-            own_reward=Unbounded(one),
+            own_reward=Unbounded(scalar),
             info=terms,
         ),
-        of_agents(reward=Unbounded(one)),
+        of_agents(reward=Unbounded(scalar)),
         Composite({name: flag.clone() for name in keys.ENDINGS}, shape=agents[:1]),
     )

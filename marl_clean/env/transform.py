@@ -1,4 +1,4 @@
-"""What transforms share: those that observe the worlds, and those that pay for what is done."""
+"""What transforms share: those that observe the worlds, and those that split the reward."""
 
 from abc import abstractmethod
 from typing import ClassVar
@@ -18,7 +18,7 @@ from marl_clean.world.step import Entries
 
 
 class WorldTransform(Transform):
-    """Adds keys that are computed from the worlds of a `CleaningEnv`: `read` says how.
+    """Adds keys that `read` computes from the worlds of a `CleaningEnv`.
 
     The state is read by reference, from the env itself: a map published as a key would be copied
     at every partial reset and recorded at every step of a rollout. After a partial reset only
@@ -74,12 +74,12 @@ class WorldTransform(Transform):
 
 
 def _spread(value: Tensor, rows: Tensor, num_envs: int) -> Tensor:
-    """Put rows into a batch; TorchRL takes nothing but these rows from it."""
+    """Put rows into a batch; TorchRL uses only these rows of it."""
     return value.new_empty((num_envs, *value.shape[1:])).index_copy_(0, rows, value)
 
 
 class RewardTransform(Transform):
-    """Makes of what each robot earned, `own_reward`, what it is paid: `pay` says how."""
+    """Turns what each robot earned, `own_reward`, into what it is paid, by `pay`."""
 
     @abstractmethod
     def pay(

@@ -33,10 +33,10 @@ KNOWN = (
 class TransformedWorlds(TransformedEnv):
     """A `CleaningEnv` under transforms: `step_and_maybe_reset` without detours.
 
-    TorchRL's method serves every env: it looks for partial steps and inverse transforms, and of a
-    reset it makes a whole batch of which it takes the rows that ended. Here a world ends as one,
-    and only the rows that ended are made, and put into what is carried on. What comes out is what
-    TorchRL's own method gives, to the bit; with other transforms it is that method that steps.
+    TorchRL's method serves every env: it looks for partial steps and inverse transforms, and for a
+    reset it builds a whole batch and uses the rows that ended. Here a world ends as a whole, and
+    only the rows that ended are built and put into the carried frame. The result is that of
+    TorchRL's own method, to the bit; with other transforms that method is used.
     """
 
     def step_and_maybe_reset(
@@ -50,7 +50,7 @@ class TransformedWorlds(TransformedEnv):
         adjacency = tensordict.get(keys.ADJACENCY, None)
         along = computed_along(transforms, adjacency)
         after = worlds.step_worlds(tensordict.get(keys.ACTION), along)
-        carried_over = tensordict.get("next", None)  # what a policy remembers
+        carried_over = tensordict.get("next", None)  # what a policy carries
         if carried_over is not None:
             after.update(carried_over.exclude(*after.keys(True, True)))
         for transform in transforms:
@@ -75,7 +75,7 @@ class TransformedWorlds(TransformedEnv):
         return list(whole.transforms) if isinstance(whole, Compose) else [whole]
 
     def set_gamma(self, gamma: float) -> None:
-        """Shape rewards from now on by this discount of the learner's, where they are shaped."""
+        """Use this discount of the learner's from now on, where rewards are shaped."""
         for transform in self.transforms:
             if isinstance(transform, Shaping):
                 transform.gamma = gamma
@@ -85,16 +85,16 @@ class TransformedWorlds(TransformedEnv):
     ) -> None:
         """Put the first frames of new episodes into the rows that are `done`.
 
-        What no first frame has, such as what a policy wrote, is 0 there.
+        Entries that a first frame lacks, such as those a policy wrote, are 0 there.
         """
-        worlds = [one for one in self.transforms if isinstance(one, WorldTransform)]
-        fresh, entries = self.base_env.begin_rows(rows, [one.read for one in worlds])
+        worlds = [t for t in self.transforms if isinstance(t, WorldTransform)]
+        fresh, entries = self.base_env.begin_rows(rows, [t.read for t in worlds])
         entries[keys.POSITION] = fresh.position
         for transform in self.transforms:
             if not isinstance(transform, WorldTransform | RewardTransform | RewardSum):
-                asked = TensorDict({"_reset": done}, self.batch_size, device=self.device)
-                begun = transform._reset(asked, asked.empty())
-                entries |= {key: begun.get(key)[rows] for key in begun.keys(True, True)}
+                request = TensorDict({"_reset": done}, self.batch_size, device=self.device)
+                first = transform._reset(request, request.empty())
+                entries |= {key: first.get(key)[rows] for key in first.keys(True, True)}
         put_rows(carried, rows, entries)
 
 
@@ -104,9 +104,9 @@ def put_rows(
     entries: Entries,
     above: tuple[str, ...] = (),
 ) -> None:
-    """Put `entries` into the rows of a frame, 0 where there is none for a key; in new tensors.
+    """Put `entries` into the rows of a frame, 0 for keys without one; in new tensors.
 
-    The old ones may be part of a recorded step.
+    The old tensors may be part of a recorded step.
     """
     for name, before in list(frame.items()):
         if is_tensor_collection(before):
@@ -117,15 +117,15 @@ def put_rows(
             after = before.index_fill(0, rows, 0)
         else:
             after = before.index_copy(0, rows, fresh)
-        # Of the shape that was there: `set` would check it, for a fifth of this function's time.
+        # The shape is unchanged: `set` would check it, for a fifth of this function's time.
         frame._set_str(name, after, validated=True, inplace=False)
 
 
 def computed_along(
     transforms: list[Transform], adjacency: Bool[Tensor, "env agent agent"] | None
 ) -> Along:
-    """Return what these transforms have computed along with a step, not after it."""
-    worlds = (one for one in transforms if isinstance(one, WorldTransform))
-    pays = [one.pay for one in transforms if isinstance(one, RewardTransform)]
+    """Return what is computed for these transforms in one call with a step, not after it."""
+    worlds = (t for t in transforms if isinstance(t, WorldTransform))
+    pays = [t.pay for t in transforms if isinstance(t, RewardTransform)]
     pay = pays[-1] if pays and adjacency is not None else None
-    return Along([one.read for one in worlds if one.along], pay, adjacency)
+    return Along([t.read for t in worlds if t.along], pay, adjacency)

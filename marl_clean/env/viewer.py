@@ -1,4 +1,4 @@
-"""One moment of an episode as a picture: the house beside what the robots know of it.
+"""One step of an episode as a picture: the house beside the robots' map.
 
 NumPy and Pillow only, so that the environment, the reports and the terminal share it.
 The same scene gives the same pixels, and every frame of an episode has the same size.
@@ -25,7 +25,7 @@ CLEAN: Colour = (168, 222, 209)
 UNKNOWN: Colour = (158, 163, 171)
 BLOCKED: Colour = (17, 19, 23)
 CONTACT: Colour = (112, 48, 190)
-# Okabe and Ito's colours, told apart by colour-blind readers too; the ninth robot starts again.
+# Okabe and Ito's colours, which colour-blind readers can distinguish; the ninth robot starts again.
 ROBOTS: tuple[Colour, ...] = (
     (0, 114, 178), (213, 94, 0), (0, 140, 102), (178, 76, 132),
     (176, 128, 0), (46, 134, 193), (120, 66, 18), (60, 60, 60),
@@ -47,7 +47,7 @@ class Scene:
     """What one picture shows; all matrices have the same R x C, places are `(row, col)`.
 
     `values` are the map's: -1 blocked, -0.2 unknown, 0 (dirty) to 0.5 (just cleaned) available.
-    A robot's own 1 is drawn as available: the disc says who stands there.
+    A robot's own 1 is drawn as available: the disc shows which robot stands there.
     """
 
     free: Bool[np.ndarray, "row col"]
@@ -93,14 +93,14 @@ class Layout:
 
 
 def fitting_cell(rows: int, cols: int, panel_pixels: int = PANEL_PIXELS) -> int:
-    """The side of a cell, in pixels, with which the longer side of a panel is about as asked."""
+    """The side of a cell, in pixels, that makes a panel's longer side about `panel_pixels`."""
     return min(max(panel_pixels // max(rows, cols), 1), LARGEST_CELL)
 
 
 def draw(scene: Scene, cell_pixels: int | None = None) -> UInt8[np.ndarray, "height width 3"]:
     """The house, the map, the robots and their contacts side by side, as RGB.
 
-    `cell_pixels`: the side of a cell; None: as fits the house. A panel has at most MOST_CELLS
+    `cell_pixels`: the side of a cell; None: chosen by the house. A panel has at most MOST_CELLS
     cells a side, so the picture's size is bounded whatever the house's.
     """
     shrink = -(-max(scene.free.shape) // MOST_CELLS)
@@ -181,8 +181,8 @@ def _contacts(
     places: Sequence[Point],
 ) -> None:
     width = max(2.0, layout.cell_pixels / 9)
-    for one, other in contacts:
-        ends = [layout.centre(panel, places[robot]) for robot in (one, other)]
+    for pair in contacts:
+        ends = [layout.centre(panel, places[robot]) for robot in pair]
         points = [(col * SUPERSAMPLE, row * SUPERSAMPLE) for row, col in ends]
         # White below the line keeps it visible on walls and on the map's black.
         for colour, pixels in ((PAGE, width + 2), (CONTACT, width)):
@@ -226,7 +226,7 @@ def _caption(pen: ImageDraw.ImageDraw, layout: Layout, scene: Scene) -> None:
 
 
 def draw_text(scene: Scene, colour: bool = True) -> str:
-    """The same moment for a terminal, two characters a cell; without colour, for a file.
+    """The same step for a terminal, two characters a cell; without colour, for a file.
 
     In plain text `##` is wall, `%%` furniture, `..` dirt, `??` unknown, blank is clean.
     """
@@ -257,7 +257,7 @@ def draw_text(scene: Scene, colour: bool = True) -> str:
         + "".join(cell(known, map_marks, (row, col)) for col in range(cols))
         for row in range(rows)
     ]
-    pairs = " ".join(f"{one + 1}-{other + 1}" for one, other in scene.contacts) or "none"
+    pairs = " ".join(f"{first + 1}-{second + 1}" for first, second in scene.contacts) or "none"
     caption = f"step {scene.step}   {100 * scene.coverage:.1f} % clean   contact {pairs}"
     return "\n".join([title, *lines, caption])
 

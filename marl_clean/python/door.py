@@ -1,4 +1,4 @@
-"""What Python users call: the commands as functions that return what they measured."""
+"""The functions for Python users: the commands, returning what they measured."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ from marl_clean.commands import compare as compare_command
 from marl_clean.commands import train as train_command
 from marl_clean.config.stored import RUNS, compose_for_training, find_run
 from marl_clean.python.keywords import Settings, overrides_of
-from marl_clean.python.measuring import measure, playable_env
+from marl_clean.python.measuring import env_of, measure
 from marl_clean.python.run import Run
 from marl_clean.python.table import Table
 
@@ -52,7 +52,9 @@ def train(settings: Settings = None, /, **keywords: Any) -> Run:
     try:
         train_command.main(config, folder, Console(quiet=True))
     except SystemExit as end:
-        if end.code == 128 + signal.SIGINT:  # the commands' exit code; Python has a word for it
+        if (
+            end.code == 128 + signal.SIGINT
+        ):  # the commands' exit code; Python has an exception for it
             raise KeyboardInterrupt from None
         raise
     return Run(folder)
@@ -68,7 +70,7 @@ def evaluate(
     """Measure a run's policy beside the planners, or without a run `planner=`, and return rows.
 
     As `marl-clean evaluate` does; a file is written only with `out=`. `run` may also be a list of
-    overrides. `intervention`: changes of the messages, one word or several, or `all`.
+    overrides. `intervention`: changes of the messages, one name or several, or `all`.
 
         >>> import marl_clean
         >>> table = marl_clean.evaluate("mine", house="apartment", houses=2, max_steps=30)
@@ -82,14 +84,15 @@ def evaluate(
     """
     if run is None or (isinstance(run, Sequence) and not isinstance(run, str)):
         return measure(overrides_of(run, keywords), intervention)
-    return measure(overrides_of(None, {"checkpoint": words_for(run), **keywords}), intervention)
+    return measure(overrides_of(None, {"checkpoint": name_of(run), **keywords}), intervention)
 
 
 def compare(*runs: RunLike, against: str | None = None) -> Table:
     """Pool the seeds of finished runs and return a row for each setting, planners last.
 
     As `marl-clean compare` does, without its files. `differences` holds each setting's paired
-    difference to the row called `against`, or to the first that is silent, on the same houses.
+    difference to the row labelled `against`, or to the first without communication, on the same
+    houses.
 
         >>> import marl_clean
         >>> table = marl_clean.compare("mine", against="nearest_unknown")
@@ -101,7 +104,7 @@ def compare(*runs: RunLike, against: str | None = None) -> Table:
     Raises:
         BadInput: what `marl-clean compare` refuses, in the same words.
     """
-    folders = [words_for(run) for run in runs]
+    folders = [name_of(run) for run in runs]
     worlds = compare_command.compared(folders, against)
     return Table(
         [entry for world in worlds for entry in world.entries],
@@ -112,8 +115,8 @@ def compare(*runs: RunLike, against: str | None = None) -> Table:
 def make_env(settings: Settings = None, /, **keywords: Any) -> TransformedEnv:
     """Return the TorchRL env of a config, as `marl-clean train` would build it.
 
-    With `checkpoint=` it is the run's own, which holds what its policy carries; settings may
-    change the world around it. For settings and keywords see `train`.
+    With `checkpoint=` it is the run's own, with what its policy carries; settings may change the
+    world around it. For settings and keywords see `train`.
 
         >>> import marl_clean
         >>> env = marl_clean.make_env(house="open", n_agents=3, num_envs=4)
@@ -123,14 +126,14 @@ def make_env(settings: Settings = None, /, **keywords: Any) -> TransformedEnv:
     Raises:
         BadInput: a wrong setting.
     """
-    return playable_env(overrides_of(settings, keywords))
+    return env_of(overrides_of(settings, keywords))
 
 
 def load_policy(run: RunLike) -> TensorDictModuleBase:
     """Return a run's greedy policy: the best weights on validation houses, on the CPU.
 
-    What it carries from step to step it asks of the env: `make_env(checkpoint=RUN)` has it, any
-    other takes `env.append_transform(policy.make_tensordict_primer())`.
+    The env must hold what it carries from step to step: `make_env(checkpoint=RUN)` does, any other
+    needs `env.append_transform(policy.make_tensordict_primer())`.
 
         >>> import marl_clean
         >>> policy = marl_clean.load_policy("approach_2_frontier")
@@ -141,9 +144,9 @@ def load_policy(run: RunLike) -> TensorDictModuleBase:
     Raises:
         BadInput: there is no such run, or its files do not fit.
     """
-    return build.load_policy(find_run(words_for(run)))
+    return build.load_policy(find_run(name_of(run)))
 
 
-def words_for(run: RunLike) -> str:
-    """What a command would be given for a run: its folder or name."""
+def name_of(run: RunLike) -> str:
+    """A run as a command takes it: its folder or name."""
     return str(run.folder) if isinstance(run, Run) else os.fspath(run)

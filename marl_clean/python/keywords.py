@@ -24,22 +24,22 @@ Settings = str | Sequence[str] | None
 
 CHECKPOINT, PLUGINS = "checkpoint", "plugins"
 BARE = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
-RESERVED = ("null", "true", "false", "nan", "inf")  # words that are no text in a setting
+RESERVED = ("null", "true", "false", "nan", "inf")  # words that a setting does not read as strings
 NEAREST = 3
 
 
 def overrides_of(settings: Settings, keywords: Mapping[str, Any]) -> list[str]:
-    """What a Python call asks for as overrides: `settings`, then `keywords`.
+    """The overrides of a Python call: `settings`, then `keywords`.
 
     A keyword is a room, which takes a level; a key of the root; a key of one section, without its
     name (`n_agents=3`) or with it (`env={"n_agents": 3}`, `**{"env.n_agents": 3}`). `plugins`
-    names packages whose levels are known from then on, as by `use_plugins`.
+    names packages whose levels are available from then on, as by `use_plugins`.
 
-    Raises BadInput for a keyword that names no key or several, and a value that is no setting.
+    Raises BadInput for a keyword that names no key or several, and a value that no setting takes.
     """
     use_plugins(keywords.get(PLUGINS, ()))
     keywords = {key: value for key, value in keywords.items() if key != PLUGINS}
-    given = with_floor_plans(_listed(settings))
+    overrides = with_floor_plans(_listed(settings))
     rooms = groups()
     levels: list[str] = []
     values: dict[str, Any] = {}
@@ -53,14 +53,14 @@ def overrides_of(settings: Settings, keywords: Mapping[str, Any]) -> list[str]:
     if CHECKPOINT in values:
         levels.append(f"{CHECKPOINT}={_text(CHECKPOINT, values.pop(CHECKPOINT))}")
     if not values:
-        return [*given, *levels]
-    known = _known_keys([*given, *levels])
+        return [*overrides, *levels]
+    known = _known_keys([*overrides, *levels])
     named = {_full_name(key, known): value for key, value in values.items()}
-    return [*given, *levels, *(f"{key}={_text(key, value)}" for key, value in named.items())]
+    return [*overrides, *levels, *(f"{key}={_text(key, value)}" for key, value in named.items())]
 
 
 def _listed(settings: Settings) -> Sequence[str]:
-    """Settings as a list. Raises BadInput where a setting stands without one."""
+    """Settings as a list. Raises BadInput for a single setting outside a list."""
     if settings is None:
         return ()
     if not isinstance(settings, str):
@@ -71,7 +71,7 @@ def _listed(settings: Settings) -> Sequence[str]:
 
 
 def _of_section(section: str, keys: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Each key of a section by its full name; of a room of several levels, of each level."""
+    """Each key of a section by its full name; in a room of several levels, those of each level."""
     for name, value in keys.items():
         if section in SEVERAL and isinstance(value, Mapping):
             yield from _of_section(f"{section}.{name}", value)
@@ -80,9 +80,9 @@ def _of_section(section: str, keys: Mapping[str, Any]) -> Iterator[tuple[str, An
 
 
 def _known_keys(overrides: Sequence[str]) -> list[str]:
-    """Every dotted key of the config that the chosen levels, presets and run have between them.
+    """Every dotted key of the config with the chosen levels, presets and run.
 
-    Without those that follow another key, as a topology's view does the observation's.
+    Keys that follow another are left out, as a topology's view follows the observation's.
     """
     chosen = [text for text in overrides if _key_of(text) in (*groups(), CHECKPOINT)]
     composed = unchecked(chosen)
@@ -106,16 +106,16 @@ def _key_of(override: str) -> str:
 
 
 def _full_name(key: str, known: Sequence[str]) -> str:
-    """The dotted key that a keyword means. Raises BadInput where it means none or several."""
-    if key in known or "." in key:  # what is wrong with a full name, the commands' check says
+    """The dotted key that a keyword names. Raises BadInput where it matches none or several."""
+    if key in known or "." in key:  # a wrong full name is refused by the commands' check
         return key
-    meant = [name for name in known if name.rpartition(".")[2] == key]
-    if len(meant) == 1:
-        return meant[0]
-    if meant:
+    matches = [name for name in known if name.rpartition(".")[2] == key]
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
         raise BadInput(
-            f"{key}: is a key of several sections: {', '.join(meant)}; write"
-            f' **{{"{meant[0]}": ...}} or the like'
+            f"{key}: is a key of several sections: {', '.join(matches)}; write"
+            f' **{{"{matches[0]}": ...}} or the like'
         )
     short = {name.rpartition(".")[2]: name for name in known}
     close = difflib.get_close_matches(key, [*short, *groups()], n=NEAREST)
@@ -127,7 +127,7 @@ def _full_name(key: str, known: Sequence[str]) -> str:
 
 
 def _text(key: str, value: Any) -> str:
-    """A value in the words of an override. Raises BadInput for what no setting can be."""
+    """A value as the text of an override. Raises BadInput for a type that no setting takes."""
     if value is None:
         return "null"
     if isinstance(value, bool):
@@ -141,15 +141,15 @@ def _text(key: str, value: Any) -> str:
     if isinstance(value, Real):
         return repr(float(value))
     if isinstance(value, Mapping):
-        return "{" + ",".join(f"{name}:{_text(key, one)}" for name, one in value.items()) + "}"
+        return "{" + ",".join(f"{name}:{_text(key, item)}" for name, item in value.items()) + "}"
     if isinstance(value, Sequence):
-        return "[" + ",".join(_text(key, one) for one in value) + "]"
-    valid = "a number, a text, true or false, None, a list or a dict of these"
+        return "[" + ",".join(_text(key, item) for item in value) + "]"
+    valid = "a number, a string, true or false, None, a list or a dict of these"
     raise BadInput(f"{key}: a {type(value).__name__} is no setting; valid: {valid}")
 
 
 def _quoted(text: str) -> str:
-    """A text as it stands, or in quotes where Hydra would read something else."""
+    """A string unchanged, or in quotes where Hydra would read something else."""
     if BARE.fullmatch(text) and text.lower() not in RESERVED:
         return text
     escaped = re.sub(r"(\\*)'", r"\1\1\\'", text)  # backslashes count only before a quote

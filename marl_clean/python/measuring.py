@@ -1,4 +1,4 @@
-"""What the functions and the run object of the Python door share."""
+"""What the functions and the run object of the Python interface share."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,20 +25,20 @@ def config_for_policy(overrides: Sequence[str]) -> DictConfig:
 
 
 def measure(overrides: Sequence[str], intervention: str | Sequence[str] | None) -> Table:
-    """Measure what `overrides` ask for. Raises BadInput as `marl-clean evaluate` does."""
+    """Measure what `overrides` describe. Raises BadInput as `marl-clean evaluate` does."""
     config = config_for_policy(overrides)
-    asked = intervention if isinstance(intervention, str | None) else ",".join(intervention)
-    checks.check_intervention(config, asked)
+    text = intervention if isinstance(intervention, str | None) else ",".join(intervention)
+    checks.check_intervention(config, text)
     if config.out is not None:
         checks.check_out(Path(config.out))
-    entries = evaluate.measured(config, named(asked) if asked else ())
+    entries = evaluate.measured(config, named(text) if text else ())
     if config.out is not None:
         write_entries(Path(config.out), entries)
     return Table(entries)
 
 
-def playable_env(overrides: Sequence[str]) -> TransformedEnv:
-    """The env that `overrides` describe; that of a run holds what its policy carries, too."""
+def env_of(overrides: Sequence[str]) -> TransformedEnv:
+    """The env that `overrides` describe; a run's also holds what its policy carries."""
     config = config_for_policy(overrides)
     env = build.make_env(config)
     return env if config.checkpoint is None else build.ready_for_policy(config, env)

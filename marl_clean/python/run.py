@@ -19,7 +19,7 @@ from marl_clean.config.stored import RUNS, find_run, load_config
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.records import MEASURED, read_entries
 from marl_clean.python.keywords import overrides_of
-from marl_clean.python.measuring import config_for_policy, measure, playable_env
+from marl_clean.python.measuring import config_for_policy, env_of, measure
 from marl_clean.python.table import Table
 from marl_clean.report.curve import plot_curve, read_metrics
 from marl_clean.report.replay import make_replay
@@ -28,7 +28,7 @@ REPLAY, METRICS = "replay.gif", "metrics.csv"
 
 
 class Run:
-    """A trained run: what `marl_clean.train` returns, and what a folder of one holds.
+    """A trained run: what `marl_clean.train` returns, and what the folder of a run holds.
 
         >>> from marl_clean import Run
         >>> run = Run("approach_2_frontier")  # ships with the package
@@ -39,14 +39,14 @@ class Run:
 
     Args:
         run: its folder, or its name in runs/ or among those that ship.
-        device: where its policy acts; None: where it was trained.
+        device: the device of its policy; None: the one it was trained on.
 
     Attributes:
-        folder: where it is.
-        config: what it was trained with.
+        folder: the folder of the run.
+        config: the config it was trained with.
 
     Raises:
-        BadInput: there is no such run, its config is damaged, or the device is not here.
+        BadInput: there is no such run, its config is damaged, or the device is not available.
     """
 
     folder: Path
@@ -74,7 +74,7 @@ class Run:
         return build.load_policy(self.folder).to(self.config.device)
 
     def env(self, *, num_envs: int | None = None, **settings: Any) -> TransformedEnv:
-        """Return the env it was trained in, which holds what its policy carries.
+        """Return the env it was trained in, with what its policy carries.
 
             >>> from marl_clean import Run
             >>> env = Run("approach_2_frontier").env(num_envs=2, house="apartment")
@@ -83,8 +83,8 @@ class Run:
 
         Settings may change the world around the policy. Raises BadInput where they do not fit it.
         """
-        asked = settings if num_envs is None else {"num_envs": num_envs, **settings}
-        return playable_env(self._overrides(asked))
+        changes = settings if num_envs is None else {"num_envs": num_envs, **settings}
+        return env_of(self._overrides(changes))
 
     def evaluate(
         self, *, intervention: str | Sequence[str] | None = None, **settings: Any
@@ -119,7 +119,7 @@ class Run:
             >>> Run("mine").curve().savefig("curve.png")
 
         Raises:
-            BadInput: nothing has been logged yet, or the run left no metrics.csv.
+            BadInput: nothing has been logged yet, or the run has no metrics.csv.
         """
         self._needs(METRICS, "the logger csv writes it in training")
         return plot_curve(read_metrics(self.folder / METRICS), {})
@@ -151,10 +151,10 @@ class Run:
         make_replay(config, lambda env: self.policy, path, config.evaluation.epsilon)
         return path
 
-    def _needs(self, name: str, mend: str) -> None:
+    def _needs(self, name: str, remedy: str) -> None:
         """Raises BadInput where the run has no file of this name."""
         if not (self.folder / name).is_file():
-            raise BadInput(f"{self.folder}: has no {name}; {mend}")
+            raise BadInput(f"{self.folder}: has no {name}; {remedy}")
 
     def __repr__(self) -> str:
         return f"Run({str(self.folder)!r})"

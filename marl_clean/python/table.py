@@ -32,8 +32,8 @@ class Table(Sequence[Row]):
 
     Attributes:
         entries: the same as evaluation.json has it, house by house.
-        differences: of a comparison, each setting's paired difference to the one it is held
-            against; empty otherwise.
+        differences: of a comparison, each setting's paired difference to the reference; empty
+            otherwise.
     """
 
     def __init__(self, entries: Sequence[Entry], differences: Sequence[Row] = ()) -> None:
@@ -83,7 +83,7 @@ class Table(Sequence[Row]):
     def __str__(self) -> str:
         text = io.StringIO()
         console = Console(file=text, width=WIDTH)
-        for place in dict.fromkeys((one["house_set"], one["n_agents"]) for one in self.entries):
+        for place in dict.fromkeys((e["house_set"], e["n_agents"]) for e in self.entries):
             same = [e for e in self.entries if (e["house_set"], e["n_agents"]) == place]
             console.print(make_table(same))
         return text.getvalue()

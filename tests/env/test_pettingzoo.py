@@ -188,7 +188,7 @@ def test_who_talks_is_fixed_and_the_others_come_in_order(topology: str, live: bo
         *[([f"topology={level}"], "valid: full, none") for level in ("view", "radius", "sight")],
         (["encoder=cnn"], "gives a vector; valid: mlp"),
         (["agent.augment=true"], "agent.augment=true"),
-        (["env.task=mpe2.simple_adversary_v3"], "one size for all"),
+        (["env.task=mpe2.simple_adversary_v3"], "the same size for all"),
         (["env.task=mpe2.nothing_v3"], "mpe2 has no such task"),
         (["env.task=pettingzoo.classic.rps_v2"], "must be a Box"),
         (["env.task=pettingzoo.sisl.nothing_v1"], "nothing"),
