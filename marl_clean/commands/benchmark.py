@@ -1,4 +1,4 @@
-"""`marl-clean benchmark`: how fast the world and the env step, as ratios within one run."""
+"""`marl-clean benchmark`: how fast worlds, envs and training run, as ratios within one run."""
 
 import json
 import os
@@ -24,6 +24,11 @@ from marl_clean.commands._benchmark_schemes import (
     exponent,
     growth_of_schemes,
     ratios,
+)
+from marl_clean.commands._benchmark_training import (
+    costs_of_training,
+    table_of_training,
+    wait_for,
 )
 from marl_clean.commands._jumanji_cleaner import cleaner
 from marl_clean.config.compose import compose_config
@@ -82,12 +87,15 @@ def main(cfg: DictConfig) -> list[Row]:
     growth = growth_of_schemes()
     for shown in (*map(table_of_costs, talk), table_of_growth(growth)):
         console.print(shown)
+    training = costs_of_training(cfg.device)
+    console.print(table_of_training(training))
     path = RUNS / "benchmark.json"
     content = {
         "machine": machine(),
         "rows": [asdict(row) for row in rows],
         "talk": [asdict(cost) for costs in talk for cost in costs],
         "growth": growth,
+        "training": [asdict(cost) for cost in training],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     files.write_file(path, [json.dumps(content, indent=1).encode()])
@@ -212,11 +220,6 @@ def env_stepper(env: TransformedEnv) -> Stepper:
         wait_for(env.device)
 
     return run
-
-
-def wait_for(device: torch.device) -> None:
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)
 
 
 def interleaved(steppers: Sequence[Stepper]) -> list[list[float]]:
