@@ -1,4 +1,4 @@
-"""Q(lambda) without replay and target network: what is learnt is what was just played."""
+"""Q(lambda) without replay and target network: it learns from the frames just collected."""
 
 from collections.abc import Sequence
 from typing import Any, Literal, final
@@ -32,10 +32,10 @@ class Pqn(Agent):
         loss = Huber(Q(o_t, a_t) - G_t), mean over frames and robots
 
     The returns are of the network that collected the block, and are estimated once for all epochs.
-    Behind an episode's last step and a block's, G_t+1 is max_a Q(o_t+1, a): truncated episodes are
+    After the last step of an episode or a block, G_t+1 is max_a Q(o_t+1, a): truncated episodes are
     bootstrapped. LayerNorm (`encoder.norm=layer`) takes the place of the target network. Robots
-    share their weights; messages are made anew in the loss, so gradients cross live edges. The pull
-    of dgn's attention is not learnt.
+    share their weights; messages are recomputed in the loss, so gradients cross live edges. The
+    pull of dgn's attention is not learnt.
 
     Source: PQN, arXiv 2407.04811; TorchRL's returns.
 
@@ -43,16 +43,16 @@ class Pqn(Agent):
         encoder, comm, channels: the network's parts; their weights are learnt in place.
         dueling: see `marl_clean.learning.networks`.
         gamma, gamma_end, gamma_rises_with: discount of a step, see `Discount`; without an end it
-            stays.
-        lmbda: of the returns: 0 trusts the values of the next step, 1 what was paid.
+            is constant.
+        lmbda: of the returns: 0 bootstraps from the next step's values, 1 sums the rewards.
         lr, lr_end: RAdam's step size (arXiv 1908.03265), falling linearly over the run.
         radam_eps: added to the root of RAdam's second moment.
         loss: `smooth_l1` (Huber), `l2` or `l1`.
         max_grad_norm: gradients are scaled down to this norm.
         eps_init, eps_end, annealing_fraction: the share of random actions falls linearly from
-            the one to the other over this fraction of the frames, and stays.
+            eps_init to eps_end over this fraction of the frames, and stays.
         precision: the encoder's arithmetic; bfloat16 is faster.
-        mask_walls: no action into a cell known to be blocked is considered.
+        mask_walls: actions into cells known to be blocked are masked.
         n_agents: robots in a world.
         num_actions: actions of a robot.
         device: where the network lives.
@@ -112,7 +112,7 @@ class Pqn(Agent):
 
     @property
     def _seen_again(self) -> Sequence[NestedKey]:
-        """What is taken of each frame in every epoch."""
+        """The entries of each frame that every epoch uses."""
         begins = (keys.IS_INIT,) if self.unrolls else ()
         return (*self.network.sees, keys.ACTION, *begins, *self.shows)
 
@@ -140,14 +140,14 @@ class Pqn(Agent):
         return {"epsilon": self.exploring.now, **self.moving_gamma(self.discount)}
 
     def anneal(self, progress: float, finished: float = 0.0) -> None:
-        """Set epsilon, step size and discount for the present moment of a run."""
+        """Set epsilon, step size and discount by a run's progress."""
         self.gamma = self.discount.at(progress, finished)
         set_step_size(self._optimiser, linear(self.lr, self.lr_end, progress))
         self.exploring.anneal(progress)
 
     @torch.no_grad()
     def estimate(self, block: TensorDictBase) -> TensorDictBase:
-        """Return what is learnt from a block `[env, time]`, the lambda-returns added."""
+        """Return the frames to learn from of a block `[env, time]`, with lambda-returns."""
         frames = block.select(*self._seen_again)
         if self.network.mask_walls:
             acting.allow_taken_(frames)
@@ -170,8 +170,8 @@ class Pqn(Agent):
     def next_values(self, block: TensorDictBase) -> Float[Tensor, "env time agent 1"]:
         """Return max_a Q(o_t+1, a) of a block.
 
-        Frame t + 1 was valued when the robots acted in it; what remains is where an episode or the
-        block ends.
+        Frame t + 1 was valued when the robots acted in it; only frames at which an episode or the
+        block ends are valued here.
         """
         value = block[keys.ACTION_VALUE].amax(-1, keepdim=True).roll(-1, dims=1)
         last = acting.last_frames(block)
@@ -180,11 +180,11 @@ class Pqn(Agent):
         return value
 
     def loss(self, frames: TensorDictBase) -> Float[Tensor, ""]:
-        """Return how far the values of the actions taken are from their returns.
+        """Return the distance of the values of the chosen actions from their returns.
 
             loss = Huber(Q(o_t, a_t) - G_t), mean over frames and robots
 
-        Where a planner acted, what prefers its actions by a margin is added.
+        Where a planner acted, `margin_loss` is added.
         """
         seen = entries(self.network, frames)
         if self.unrolls:
@@ -196,7 +196,7 @@ class Pqn(Agent):
         return loss + margin_loss(values, frames[keys.DEMONSTRATION]) if self.demonstrated else loss
 
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        """Take one step of RAdam on a minibatch: frames, or rows `[env, time]` if it unrolls."""
+        """Make one step of RAdam on a minibatch: frames, or rows `[env, time]` if it unrolls."""
         set_noise(self._noisy, True)
         loss = self.loss(batch)
         self._optimiser.zero_grad()

@@ -1,4 +1,4 @@
-"""The sizes of a stack of convolutions, known without torch: a wrong one costs no second."""
+"""The sizes of a stack of convolutions, computed without torch so that checks are fast."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -7,7 +7,7 @@ from marl_clean.errors import BadInput
 
 
 def check_strides(channels: Sequence[int], strides: Sequence[int]) -> None:
-    """Raises BadInput where there is not a stride for each convolution."""
+    """Raises BadInput unless each convolution has one stride."""
     if len(channels) != len(strides):
         raise BadInput(
             f"encoder.strides: {len(strides)} strides for {len(channels)} convolutions;"
@@ -18,7 +18,7 @@ def check_strides(channels: Sequence[int], strides: Sequence[int]) -> None:
 def side_after(side: int, kernel_size: int, strides: Sequence[int], padding: int) -> int:
     """The side of a square after convolutions: s' = floor((s + 2 padding - kernel) / stride) + 1.
 
-    Raises BadInput where nothing is left of it.
+    Raises BadInput where no cell is left.
     """
     left = side
     for stride in strides:
@@ -32,6 +32,6 @@ def side_after(side: int, kernel_size: int, strides: Sequence[int], padding: int
 
 
 def fewest_weights(channels: Sequence[int], kernel_size: int) -> int:
-    """The weights of convolutions of one input plane, biases among them: there are no fewer."""
+    """The weights of convolutions of one input plane, biases included: a lower bound."""
     pairs = pairwise([1, *channels])
     return sum((before * kernel_size**2 + 1) * after for before, after in pairs)

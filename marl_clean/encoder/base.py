@@ -1,4 +1,4 @@
-"""What the encoders share."""
+"""The base class of encoders, and the layers they share."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ class Encoder(nn.Module, ABC):
         observation_shape: of one robot's observation, without batch.
         out_features: length of a feature vector.
         memory: a GRU cell (arXiv 1406.1078) whose hidden state is the feature, carried from step
-            to step by who runs the network; None: a robot remembers nothing but the map.
+            to step by the caller; None: a robot remembers only the map.
     """
 
     observation_shape: tuple[int, ...]
@@ -30,16 +30,16 @@ class Encoder(nn.Module, ABC):
         """Return one feature vector a robot, from its own observation alone."""
 
     def check_shape(self, observation: Float[Tensor, "..."]) -> None:
-        """Raises BadInput where robots are shown something of another shape than it is for."""
+        """Raises BadInput where observations have another shape than the encoder was built for."""
         shown = observation.shape[-len(self.observation_shape) :]
         if shown != self.observation_shape:
             raise BadInput(
                 f"observation: the policy sees {list(self.observation_shape)} of a robot, this env"
-                f" shows {list(shown)}; play in marl_clean.make_env(checkpoint=RUN)"
+                f" shows {list(shown)}; use marl_clean.make_env(checkpoint=RUN)"
             )
 
     def remember(self, memory: Recurrence) -> None:
-        """Add the memory that a setting asks for, as wide as the features."""
+        """Add the memory of the setting `memory`, as wide as the features."""
         width = self.out_features
         self.memory = nn.GRUCell(width, width) if memory == "gru" else None
 
@@ -47,8 +47,8 @@ class Encoder(nn.Module, ABC):
 def connect(widths: Sequence[int], dropout: float, norm: Norm = "none") -> nn.Sequential:
     """Return fully connected layers from widths[0] to widths[-1].
 
-    Each is followed by a ReLU and, if asked for, dropout; with `norm=layer` by a LayerNorm before
-    the ReLU (arXiv 1607.06450).
+    Each is followed by a ReLU and, if `dropout` is not 0, dropout; with `norm=layer` a LayerNorm
+    precedes the ReLU (arXiv 1607.06450).
     """
     layers: list[nn.Module] = []
     for before, after in pairwise(widths):

@@ -1,4 +1,4 @@
-"""Convolutions into fully connected layers: what a robot makes of the square it sees."""
+"""Convolutions, then fully connected layers: the encoder of square observations."""
 
 import math
 from collections.abc import Callable
@@ -31,7 +31,7 @@ class Cnn(Encoder):
     """Turn each robot's square of the map into a feature vector (paper §3.4, figure 3).
 
     Convolutions, each followed by a ReLU, lead into fully connected layers, each followed by a
-    ReLU and, if asked for, dropout. All robots share the weights.
+    ReLU and, if `dropout` is not 0, dropout. All robots share the weights.
 
     Args:
         observation_shape: (channel, rows, cols) of one robot's observation.
@@ -45,11 +45,11 @@ class Cnn(Encoder):
         channels_last: memory format of the convolutions; faster on a CPU, the same result.
         memory: `gru`: the features go through a GRU that remembers those of earlier steps.
         norm: `layer`: each fully connected layer is normalised before its ReLU.
-        spread: what `planes` asks for, as the observation defines it; null: nothing to spread.
+        spread: how `planes` spreads codes, as the observation defines it; null: nothing to spread.
 
     Raises:
-        BadInput: lists of different lengths, an observation that is no square or one too small
-            for the convolutions.
+        BadInput: lists of different lengths, an observation that is not square or is too small for
+            the convolutions.
     """
 
     takes = Form.SQUARES

@@ -1,4 +1,4 @@
-"""Fully connected layers: what a robot makes of a few numbers."""
+"""Fully connected layers: the encoder of vector observations."""
 
 from typing import final
 
@@ -15,8 +15,8 @@ from marl_clean.settings import Form, Layers, Norm, Probability, Recurrence
 class Mlp(Encoder):
     """Turn each robot's vector, such as its sensors' distances, into a feature vector.
 
-    Fully connected layers, each followed by a ReLU and, if asked for, dropout. All robots share
-    the weights.
+    Fully connected layers, each followed by a ReLU and, if `dropout` is not 0, dropout. All robots
+    share the weights.
 
     Args:
         observation_shape: (entries,) of one robot's observation.
@@ -26,7 +26,7 @@ class Mlp(Encoder):
         norm: `layer`: each fully connected layer is normalised before its ReLU.
 
     Raises:
-        BadInput: one robot's observation is no vector.
+        BadInput: one robot's observation is not a vector.
     """
 
     takes = Form.VECTOR

@@ -1,4 +1,4 @@
-"""The value of what robots are in, for learners by policy gradients; it is for learning alone."""
+"""State values for policy-gradient learners; used in learning alone."""
 
 import copy
 from typing import Literal, NamedTuple
@@ -14,12 +14,12 @@ from marl_clean.encoder.base import Encoder
 from marl_clean.settings import Precision, Recurrence
 
 Knows = Literal["local", "robots", "state"]
-POOLED = 4  # side of what is left of the true state, whatever the house's size
+POOLED = 4  # side of the pooled true state, whatever the house's size
 STATE_CHANNELS = (16, 32)
 
 
 class StateEncoder(nn.Module):
-    """Features of a house's true state, whatever its size: convolutions, the greatest of 4 x 4."""
+    """Features of a house's true state, whatever its size: convolutions, max-pooled to 4 x 4."""
 
     def __init__(self, planes: int, width: int) -> None:
         super().__init__()
@@ -41,7 +41,7 @@ class StateEncoder(nn.Module):
 
 
 class Unrolled(NamedTuple):
-    """A critic's values of frames in a row.
+    """A critic's values of consecutive frames.
 
     Attributes:
         value: `[env, time, n, 1]`.
@@ -60,8 +60,8 @@ class Critic(nn.Module):
         robots: V_i = head(relu(W [h_i, mean over all robots j of h_j]))
         state:  V_i = head(relu(W [h_i, g(s)])),                           s the true state
 
-    It has an encoder of its own and does not talk; any number of robots and size of house fits.
-    With `memory=gru` what is in brackets goes through a GRU of its own first.
+    It has its own encoder and does not communicate; it works for any number of robots and size of
+    house. With `memory=gru` the argument of W goes through a GRU of its own first.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class Critic(nn.Module):
         observation: Float[Tensor, "..."],
         state: Bool[Tensor, "*batch plane row col"] | None = None,
     ) -> Float[Tensor, "*batch agent joined"]:
-        """Return what is known of each robot's state, before memory and head."""
+        """Return the features of each robot's state, before memory and head."""
         with torch.autocast(observation.device.type, torch.bfloat16, enabled=self.reduced):
             feature = self.encoder(observation)
         feature = feature.float()
@@ -132,14 +132,14 @@ class Critic(nn.Module):
         return Unrolled(self.head(remembered), torch.stack(before, dim=1), remembered)
 
     def no_memory(self, frames: TensorDictBase) -> Float[Tensor, "env agent joined"]:
-        """Return the memory of those who have seen nothing, for frames `[env, time]`."""
+        """Return the zero memory at the start of an episode, for frames `[env, time]`."""
         assert self.memory is not None
         shape = frames[keys.ACTION].shape
         return torch.zeros(shape[0], shape[-1], self.memory.hidden_size, device=frames.device)
 
 
 class Values(TensorDictModuleBase):
-    """The critic as TorchRL's losses want it."""
+    """The critic as the module that TorchRL's losses expect."""
 
     def __init__(self, critic: Critic) -> None:
         super().__init__()
@@ -157,7 +157,7 @@ class Values(TensorDictModuleBase):
 
 
 def _fresh(encoder: Encoder) -> Encoder:
-    """Return an encoder of the same kind with weights of its own, drawn anew, and no memory."""
+    """Return an encoder of the same kind with weights of its own, newly drawn, and no memory."""
     other = copy.deepcopy(encoder)
     other.memory = None
     for module in other.modules():

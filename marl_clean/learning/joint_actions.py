@@ -14,9 +14,9 @@ class JointQNetwork(nn.Module):
 
         h = [encoder(o_1), ..., encoder(o_n)],    Q(o, a_1 ... a_n) = head(relu(W h))
 
-    One encoder looks at every robot's square; what it makes of them is joined in the robots'
-    order, so the network is for this number of robots. `dueling` and `precision` as in `QNetwork`.
-    A joint action is masked in which any robot's part is.
+    One encoder encodes every robot's square; the features are concatenated in the robots' order,
+    so the network is for this number of robots. `dueling` and `precision` as in `QNetwork`. A joint
+    action is masked if any robot's action in it is.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class JointQNetwork(nn.Module):
 def joint_mask(
     allowed: Bool[Tensor, "*batch agent action"],
 ) -> Bool[Tensor, "*batch joint_action"]:
-    """Return which joint actions hold no robot's masked one."""
+    """Return which joint actions contain no masked action."""
     n_agents, num_actions = allowed.shape[-2:]
     joint = torch.arange(num_actions**n_agents, device=allowed.device)
     robot = torch.arange(n_agents, device=allowed.device)
@@ -62,14 +62,14 @@ def joint_mask(
 def encode_joint(
     action: Int[Tensor, "*batch agent"], num_actions: int = NUM_ACTIONS
 ) -> Int[Tensor, "*batch"]:
-    """Number a joint action in base `num_actions`, robot 0 the lowest digit."""
+    """Return a joint action's number in base `num_actions`, robot 0 the lowest digit."""
     return (action * _digits(action.shape[-1], num_actions, action.device)).sum(-1)
 
 
 def decode_joint(
     joint: Int[Tensor, "*batch"], n_agents: int, num_actions: int = NUM_ACTIONS
 ) -> Int[Tensor, "*batch agent"]:
-    """Return every robot's action of a numbered joint action; undoes `encode_joint`."""
+    """Return every robot's action of a numbered joint action; the inverse of `encode_joint`."""
     return joint.unsqueeze(-1) // _digits(n_agents, num_actions, joint.device) % num_actions
 
 

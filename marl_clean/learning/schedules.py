@@ -1,4 +1,4 @@
-"""What changes over a run: step sizes, discounts, and the share of random actions."""
+"""Schedules over a run: step sizes, discounts, and the share of random actions."""
 
 from tensordict import NestedKey
 from torch.optim import Optimizer
@@ -9,12 +9,12 @@ from marl_clean.settings import RisesWith
 
 
 def linear(start: float, end: float, progress: float) -> float:
-    """Return what lies between start and end where `progress`, from 0 to 1, of a run is done."""
+    """Interpolate linearly from start to end by a run's `progress`, from 0 to 1."""
     return start + min(1.0, progress) * (end - start)
 
 
 def set_step_size(optimiser: Optimizer, lr: float) -> None:
-    """Let an optimiser take steps of this size from now on, in place."""
+    """Set an optimiser's step size, in place."""
     for group in optimiser.param_groups:
         group["lr"] = lr
 
@@ -22,7 +22,7 @@ def set_step_size(optimiser: Optimizer, lr: float) -> None:
 class Discount:
     """A discount that moves from `gamma` to `gamma_end`, if there is one.
 
-    It moves with the run's progress, or with the share of episodes that were finished of late: a
+    It moves with the run's progress, or with the share of recent episodes that were finished: a
     robot that cleans its houses can look further ahead. Source: arXiv 2403.12856.
     """
 
@@ -30,7 +30,7 @@ class Discount:
         self.gamma, self.gamma_end, self.rises_with = gamma, gamma_end, rises_with
 
     def at(self, progress: float, finished: float) -> float:
-        """Return the discount where these shares of the run and of late episodes are done."""
+        """Return the discount at this progress and share of recent episodes finished."""
         if self.gamma_end is None:
             return self.gamma
         share = progress if self.rises_with == "progress" else finished
@@ -52,7 +52,7 @@ class Epsilon:
         self.anneal(0.0)
 
     def anneal(self, progress: float) -> None:
-        """Set the share for a run of which `progress`, from 0 to 1, is done."""
+        """Set the share by a run's `progress`, from 0 to 1."""
         share = progress / self.fraction if self.fraction else 1.0
         self.now = linear(self.eps_init, self.eps_end, share)
         for coin in self._coins:  # their own step() loops over frames in Python
@@ -61,10 +61,10 @@ class Epsilon:
     def coin(
         self, action_spec: Composite, action_key: NestedKey, mask_key: NestedKey | None = None
     ) -> EGreedyModule:
-        """Return TorchRL's epsilon-greedy module, whose epsilon follows.
+        """Return TorchRL's epsilon-greedy module, whose epsilon follows `anneal`.
 
         It explores only under TorchRL's `ExplorationType.RANDOM`, as a Collector sets it. With
-        `mask_key` it draws among the actions that a frame's mask there allows.
+        `mask_key` it draws from the actions that the frame's mask under this key allows.
         """
         coin = EGreedyModule(
             action_spec.clone(),  # it writes masks into it

@@ -1,6 +1,6 @@
-"""The compass as machine code, for a CPU: one pass over the worlds, nothing in between.
+"""The compass as machine code, for a CPU: one pass over the worlds without intermediate tensors.
 
-The tensor code of `compass` gives the same numbers on any device; tests hold the two together.
+The tensor code of `compass` gives the same numbers on any device; tests compare the two.
 """
 
 import math
@@ -21,23 +21,23 @@ BLOCKS = 5  # the side of a grid of blocks
 BLOCK_CELLS = (3, 9)  # the sides of blocks in cells, one grid each
 BLOCK_PLANES = 4
 PLANES = 5
-FRESH_STEPS = 12.0  # after which what is left of being just cleaned has fallen to 1 / e
-NEARER_CELLS = 3  # where the plane of distances is cut off
-FAR_CELLS = 10  # where the offset of another robot is
-FARTHEST = 1023  # walking distances are shown up to here
+FRESH_STEPS = 12.0  # time constant of the exponential decay of cleanness
+NEARER_CELLS = 3  # the plane of distances is clipped here
+FAR_CELLS = 10  # the offset of another robot is clipped here
+FARTHEST = 1023  # walking distances are clipped here
 FURTHER = 3 * 4 + 1 + 4 + 2 * 5  # numbers after planes and blocks
 
 
 class Known(NamedTuple):
-    """One map as searches want it: flat, `stride` cells a row, a ring of zeros around."""
+    """One map in the form of the searches: flat, `stride` cells a row, a ring of zeros around."""
 
     stride: int
-    goals: np.ndarray  # to the unknown, or what was not cleaned yet
-    unknown: np.ndarray  # to the unknown
-    onward: np.ndarray  # to the unknown that does not just continue a known wall
+    goals: np.ndarray  # grid whose goals are unknown cells and those not cleaned yet
+    unknown: np.ndarray  # grid whose goals are unknown cells
+    onward: np.ndarray  # grid whose goals are unknown cells that do not just continue a known wall
     steps: np.ndarray  # from the nearest of `goals`
     sums: np.ndarray  # [2, row, col]: unknown and blocked cells above and left
-    reached: np.ndarray  # for searches to write in
+    reached: np.ndarray  # buffers of the searches
     begun: np.ndarray
     queue: np.ndarray
 
@@ -56,7 +56,7 @@ def fill(
     visible: np.ndarray,
     view_size: int,
 ) -> None:
-    """Fill `out` [env, robot, number] in the order that `Compass` says.
+    """Fill `out` [env, robot, number] in the order of the docstring of `Compass`.
 
     `record` is [env, map, height, width] with its margin; `rows`, `cols` and `now` are [env];
     `position` and `centre` [env, robot, 2], places in the house; `visible` [env, robot, robot].
@@ -76,22 +76,22 @@ def fill(
             if robot < maps:
                 read_map(known, held, margin, size)
             here, place = out[env, robot], centre[env, robot]
-            show_square(here, known, held, margin, size, now[env], place, view_size)
+            write_square(here, known, held, margin, size, now[env], place, view_size)
             at = PLANES * view_size**2
             for block in BLOCK_CELLS:
-                show_blocks(here[at : at + BLOCK_PLANES * BLOCKS**2], known.sums, place, block)
+                write_blocks(here[at : at + BLOCK_PLANES * BLOCKS**2], known.sums, place, block)
                 at += BLOCK_PLANES * BLOCKS**2
             start, sees = cell_of(known, place), visible[env, robot]
-            show_neighbours(here, at, known, start, view_size)
-            show_others(here, at + 13, position[env], place, sees, view_size)
-            show_way(here[at + 17 :], known, known.unknown, start, others, sees)
-            show_way(here[at + 22 :], known, known.onward, start, others, nobody)
+            write_neighbours(here, at, known, start, view_size)
+            write_others(here, at + 13, position[env], place, sees, view_size)
+            write_first_steps(here[at + 17 :], known, known.unknown, start, others, sees)
+            write_first_steps(here[at + 22 :], known, known.onward, start, others, nobody)
 
 
 @machine_code
 @no_type_check
 def blank(height: int, width: int) -> Known:
-    """Return room for a house and its ring of `height` x `width` cells."""
+    """Return empty buffers for a house and its ring of `height` x `width` cells."""
     cells = (height + 2) * (width + 2)
     return Known(
         stride=width + 2,
@@ -109,7 +109,7 @@ def blank(height: int, width: int) -> Known:
 @machine_code
 @no_type_check
 def cell_of(known: Known, place: np.ndarray) -> int:
-    """Return where a place of the house lies in the flat map."""
+    """Return the index of a place of the house in the flat map."""
     return (place[0] + 2) * known.stride + place[1] + 2
 
 
@@ -141,7 +141,7 @@ def read_map(known: Known, held: np.ndarray, margin: int, size: tuple[int, int])
 @machine_code
 @no_type_check
 def continues_wall(held: np.ndarray, margin: int, row: int, col: int) -> bool:
-    """Tell whether a cell of the house and its ring lies in line with two known walls."""
+    """Whether a cell of the house and its ring lies in line with two known walls."""
     for down, right in ((1, 0), (0, 1)):
         before = is_wall(held, margin, row - down, col - right)
         after = is_wall(held, margin, row + down, col + right)
@@ -155,7 +155,7 @@ def continues_wall(held: np.ndarray, margin: int, row: int, col: int) -> bool:
 @machine_code
 @no_type_check
 def is_wall(held: np.ndarray, margin: int, row: int, col: int) -> bool:
-    """Tell whether a cell of the house and its ring is known to be blocked; none outside is."""
+    """Whether a cell of the house and its ring is known to be blocked; false outside of these."""
     height, width = held.shape[0] - 2 * margin + 2, held.shape[1] - 2 * margin + 2
     if not (0 <= row < height and 0 <= col < width):
         return False
@@ -164,7 +164,7 @@ def is_wall(held: np.ndarray, margin: int, row: int, col: int) -> bool:
 
 @machine_code
 @no_type_check
-def show_square(
+def write_square(
     here: np.ndarray,
     known: Known,
     held: np.ndarray,
@@ -174,7 +174,7 @@ def show_square(
     place: np.ndarray,
     view_size: int,
 ) -> None:
-    """Show blocked, unknown, cleanness and nearer cells of the square around a robot."""
+    """Write blocked, unknown, cleanness and nearer cells of the square around a robot."""
     half, square = view_size // 2, view_size**2
     height, width = known.sums.shape[1] - 1, known.sums.shape[2] - 1
     own = known.steps[cell_of(known, place)]
@@ -196,14 +196,14 @@ def show_square(
             here[square + at] = value == 0 and inside
             here[2 * square + at] = cleanness
             here[3 * square + at] = min(max(nearer, -NEARER_CELLS), NEARER_CELLS) / NEARER_CELLS
-            here[4 * square + at] = 0  # the others, later
+            here[4 * square + at] = 0  # other robots are marked later
             at += 1
 
 
 @machine_code
 @no_type_check
-def show_blocks(here: np.ndarray, sums: np.ndarray, place: np.ndarray, block: int) -> None:
-    """Show the shares of unknown and blocked cells in a grid of blocks, and any unknown."""
+def write_blocks(here: np.ndarray, sums: np.ndarray, place: np.ndarray, block: int) -> None:
+    """Write the shares of unknown and blocked cells in a grid of blocks, and any unknown."""
     height, width = sums.shape[1] - 1, sums.shape[2] - 1
     first = BLOCKS * block // 2
     for index in range(BLOCKS**2):
@@ -216,13 +216,13 @@ def show_blocks(here: np.ndarray, sums: np.ndarray, place: np.ndarray, block: in
             total += sums[kind, top, left] - sums[kind, bottom, left]
             here[kind * BLOCKS**2 + index] = total / block**2
         here[2 * BLOCKS**2 + index] = here[index] > 0
-        here[3 * BLOCKS**2 + index] = 0  # the others, later
+        here[3 * BLOCKS**2 + index] = 0  # other robots are marked later
 
 
 @machine_code
 @no_type_check
-def show_neighbours(here: np.ndarray, at: int, known: Known, start: int, view_size: int) -> None:
-    """Show which actions lead nearer, into the unknown and into walls; and how far a goal is."""
+def write_neighbours(here: np.ndarray, at: int, known: Known, start: int, view_size: int) -> None:
+    """Write which actions lead nearer, into the unknown and into walls; and a goal's distance."""
     half, square = view_size // 2, view_size**2
     middle = half * view_size + half
     around = (middle - view_size, middle + 1, middle + view_size, middle - 1)
@@ -231,12 +231,12 @@ def show_neighbours(here: np.ndarray, at: int, known: Known, start: int, view_si
         here[at + action] = known.steps[start + sides[action]] < known.steps[start]
         here[at + 4 + action] = here[square + around[action]]
         here[at + 8 + action] = here[around[action]]
-    here[at + 12] = how_far(known.steps[start])
+    here[at + 12] = log_distance(known.steps[start])
 
 
 @machine_code
 @no_type_check
-def show_others(
+def write_others(
     here: np.ndarray,
     at: int,
     position: np.ndarray,
@@ -244,7 +244,7 @@ def show_others(
     visible: np.ndarray,
     view_size: int,
 ) -> None:
-    """Mark the visible robots in the square and the blocks, and show where the nearest is."""
+    """Mark the visible robots in the square and the blocks, and write where the nearest is."""
     half = view_size // 2
     here[at : at + 4] = 0
     nearest = (np.inf, 0, 0)
@@ -271,7 +271,7 @@ def show_others(
 
 @machine_code
 @no_type_check
-def show_way(
+def write_first_steps(
     here: np.ndarray,
     known: Known,
     goals: np.ndarray,
@@ -279,17 +279,17 @@ def show_way(
     others: np.ndarray,
     rivals: np.ndarray,
 ) -> None:
-    """Show which actions lead to the nearest of `goals` to which no rival is nearer; how far."""
+    """Write which actions lead to the nearest goal that is nearer to no rival; its distance."""
     bits, length = first_steps_of_robot(
         goals, known.stride, start, others, rivals, known.reached, known.begun, known.queue
     )
     for action in range(4):
         here[action] = (bits >> action) & 1
-    here[4] = how_far(length)
+    here[4] = log_distance(length)
 
 
 @machine_code
 @no_type_check
-def how_far(steps: int) -> float:
+def log_distance(steps: int) -> float:
     """Return log2(1 + d) / 10 of a walking distance, at most 1."""
     return math.log2(1.0 + min(steps, FARTHEST)) / 10

@@ -1,4 +1,4 @@
-"""What the levels that show the map share: its codes over planes, and whom a robot sees."""
+"""What the levels that show the map share: planes for its codes, and the robots in contact."""
 
 import torch
 from jaxtyping import Float, Int
@@ -14,9 +14,9 @@ from marl_clean.world.state import State
 def spread_codes(
     observation: Float[Tensor, "*batch channel row col"],
 ) -> Float[Tensor, "*batch plane row col"]:
-    """Spread the map's codes over four planes, so that no weight has to tell -0.2 from 0.2.
+    """Spread the map's codes over four planes, so that no weight has to separate -0.2 from 0.2.
 
-    The planes are blocked, unknown, dirt and robots: 1 where the code says so, else 0. Dirt is
+    The planes are blocked, unknown, dirt and robots: 1 where the code is this, else 0. Dirt is
     `1 - 2 v` of an available cell: 0 just cleaned, 1 dirty. The codes are constants, so comparing
     them exactly is right. Only the first channel is a map; others follow the planes unchanged.
     The result is laid out channels last.

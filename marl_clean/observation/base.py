@@ -21,7 +21,7 @@ class Observation(WorldTransform):
 
     Attributes:
         gives: the form of one robot's observation, which the encoder must take.
-        lowest: the least value in it; the greatest is 1.
+        lowest: its least value; the greatest is 1.
         reach_cells: cells around the house that `read` needs in every matrix.
     """
 
@@ -35,10 +35,10 @@ class Observation(WorldTransform):
 
     @staticmethod
     def spread(observation: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-        """Return observations as an encoder looks at them: codes spread over planes, if any.
+        """Return observations as an encoder takes them: codes spread over planes, if any.
 
-        What is stored is the observation itself, which may be more compact. A function of no
-        object, so that networks which hold it can be copied.
+        Frames store the observation itself, which may be more compact. A static method, so that
+        networks which hold it can be copied.
         """
         return observation
 

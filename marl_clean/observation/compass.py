@@ -36,15 +36,15 @@ from marl_clean.world.state import State, cell_index
 from marl_clean.world.step import Entries
 from marl_clean.world.surroundings import (
     block_shares,
+    closer_steps,
     in_squares,
     likely_wall,
-    shorter_ways,
 )
 
 
 @final
 class Compass(Observation):
-    """Which way to go, and what is near, in numbers that mean the same in a house of any size.
+    """Where to go and what is near, in numbers that mean the same in a house of any size.
 
     Adds `("agents", "observation")`, float32 `[*B, n, 5 K^2 + 222 + 5]`, all in [-1, 1]. A goal
     is a cell inside the house's ring that the robot's map does not know, or knows as available
@@ -57,19 +57,20 @@ class Compass(Observation):
     - 5 x 5 blocks of 3 x 3 cells around the robot, and of 9 x 9, four times each: the share
       unknown, the share blocked, whether any is unknown, whether another robot is there;
     - for each action: does it lead nearer to a goal; is the neighbour unknown; is it blocked;
-    - log2(1 + d(own cell)) / 10, where none can be reached as for a distance of 1023;
-    - the nearest other robot: (row, col) seen from here / 10, whether there is one, and
+    - log2(1 + d(own cell)) / 10, with a distance of 1023 where no goal can be reached;
+    - the nearest other robot: its relative (row, col) / 10, whether there is one, and
       1 / (1 + its Euclidean distance);
     - for each action whether it leads to the nearest unknown cell to which no other robot is
-      nearer; and how far that is, as above;
+      nearer; and its distance, as above;
     - for each action whether it leads to the nearest unknown cell that does not just continue a
-      known wall; and how far that is.
+      known wall; and its distance.
 
-    Distances are over cells known to be available; robots are in nobody's way. With private maps
-    everything is of the robot's own map, and other robots are those in contact; so it is with
-    merged maps. With `position_noise` all is seen from where the robot thinks it is.
+    Distances are over cells known to be available; robots block no path. With private and merged
+    maps everything is computed from the robot's own map, and other robots are those in contact.
+    With `position_noise` everything is relative to the cell that the robot takes for its own.
 
-    Costs searches over the known map, and reads for each robot that do not depend on the house.
+    Its cost is searches over the known map, and reads for each robot whose number does not depend
+    on the house.
 
     Args:
         view_size: K, the side of the square in cells, odd, at least 3.
@@ -127,7 +128,7 @@ class Compass(Observation):
 
         offset = offsets(state.position) - (centre - state.position)[:, :, None]
         distance = walking_distance(passable, unknown | is_known_uncleaned(record))
-        nearer, own_distance = shorter_ways(distance, cell)
+        nearer, own_distance = closer_steps(distance, cell)
         ways, lengths = first_steps(  # both searches as one, which waits half as often
             torch.cat([passable, passable]),
             torch.cat([unknown, unknown & ~likely_wall(blocked)]),
@@ -150,9 +151,9 @@ class Compass(Observation):
         further = [
             nearer.float(),
             *(beside(plane) for plane in (square[1], square[0])),
-            how_far(own_distance),
+            log_distance(own_distance),
             nearest_robot(offset, visible),
-            *(part for ways, length in searched for part in (ways.float(), how_far(length))),
+            *(part for ways, length in searched for part in (ways.float(), log_distance(length))),
         ]
         return torch.cat([*(plane.flatten(2) for plane in (*square, *blocks)), *further], -1)
 
@@ -189,27 +190,27 @@ class Compass(Observation):
         ]
 
     def _centre(self, state: State, setup: Setup) -> Int[Tensor, "env agent 2"]:
-        """Return where each robot thinks it is."""
+        """Return the place that each robot takes for its own."""
         if self.position_noise == 0:
             return state.position
         return believed_position(state, setup.env_index, setup.seed, self.position_noise)
 
 
 def seen_robots(state: State, setup: Setup) -> Bool[Tensor, "env agent agent"]:
-    """Return which others each robot knows the place of: all on a shared map, else in contact."""
+    """Return the others whose place each robot knows: all on a shared map, else its contacts."""
     if setup.rules.memory is Memory.SHARED or setup.contact is None:
         return everyone(state.position)
     return setup.contact(state, setup.rules)
 
 
 def beside(plane: Float[Tensor, "env agent view view"]) -> Float[Tensor, "env agent 4"]:
-    """Return what a plane holds of the neighbours up, right, down and left."""
+    """Return a plane's values at the neighbours up, right, down and left."""
     half = plane.shape[-1] // 2
     four = ((half - 1, half), (half, half + 1), (half + 1, half), (half, half - 1))
     return torch.stack([plane[..., row, col] for row, col in four], -1)
 
 
-def how_far(distance: Int[Tensor, "env agent"]) -> Float[Tensor, "env agent 1"]:
+def log_distance(distance: Int[Tensor, "env agent"]) -> Float[Tensor, "env agent 1"]:
     """Return log2(1 + d) / 10 of walking distances, at most 1."""
     return (distance.clamp(max=FARTHEST).float() + 1).log2().unsqueeze(-1) / 10
 
@@ -218,7 +219,7 @@ def nearest_robot(
     offset: Int[Tensor, "env agent agent 2"],
     visible: Bool[Tensor, "env agent agent"],
 ) -> Float[Tensor, "env agent 4"]:
-    """Return where the nearest visible robot is, whether there is one, and how near."""
+    """Return the nearest visible robot's relative place, whether there is one, and its nearness."""
     nearest = torch.where(visible, distance_key(offset), torch.iinfo(torch.int64).max).argmin(-1)
     index = nearest[..., None, None].expand(-1, -1, 1, 2)
     place = offset.gather(2, index)[:, :, 0].float()

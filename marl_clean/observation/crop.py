@@ -25,9 +25,9 @@ class Crop(Observation):
 
     Args:
         view_size: K, the side of the square in cells, odd.
-        position_noise: probability, for each step and robot, that the robot thinks that it is on
-            one of the four neighbouring cells of the house, and sees the square around that one.
-            Its map is written at the true place.
+        position_noise: probability, for each step and robot, that the robot takes one of the four
+            neighbouring cells of the house for its own, and sees the square around that cell. Its
+            map is written at the true place.
     """
 
     gives = Form.SQUARES
@@ -49,7 +49,7 @@ class Crop(Observation):
         return {keys.OBSERVATION: view.unsqueeze(2)}
 
     def centre(self, state: State, setup: Setup) -> Int[Tensor, "env agent 2"]:
-        """Return where each robot thinks it is, the middle of what it sees."""
+        """Return the place that each robot takes for its own, the middle of what it sees."""
         if self.position_noise == 0:
             return state.position
         return believed_position(state, setup.env_index, setup.seed, self.position_noise)

@@ -23,11 +23,11 @@ class Distances(Observation):
     Adds `("agents", "observation")`, float32 `[*B, n, 8]` for N, NE, E, SE, S, SW, W, NW: the free
     cells between the robot's own and the first blocked one in this direction, in the true house,
     divided by the sensor's reach: 0 when the neighbour is blocked, 1 when no obstacle is within
-    reach. Diagonal cells are counted as others are, and a ray passes between two corners. Robots
-    are no obstacles. The map is not seen at all: a robot does not know where it has been.
+    reach. Diagonal cells are counted like others, and a ray passes between two corners. Robots are
+    not obstacles. The map is not seen at all: a robot does not know where it has been.
 
     Args:
-        range_cells: the sensors' reach in cells; what it costs.
+        range_cells: the sensors' reach in cells; the cost grows with it.
     """
 
     gives = Form.VECTOR

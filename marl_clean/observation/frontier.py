@@ -1,4 +1,4 @@
-"""`observation=frontier`: the paper's square and a plane that shows where the next dirt is near."""
+"""`observation=frontier`: the paper's square, and a plane of distances to the nearest goal."""
 
 from typing import final
 
@@ -16,18 +16,19 @@ from marl_clean.world.step import Entries
 
 @final
 class Frontier(Observation):
-    """The crop, and how much nearer than the robot each of its cells is to what needs a visit.
+    """The crop, and how much nearer than the robot each of its cells is to an unvisited goal.
 
     Adds `("agents", "observation")`, float32 `[*B, n, 2, K, K]`: the crop of the map, and a plane
     in [-1, 1] of (d(robot's own cell) - d(cell)) / K, clamped, where d is the walking distance
-    over the known map to the nearest unknown or dirty cell. Where no way leads d is unbounded:
-    -1, and 0 all over when the robot itself has nowhere to go. Other robots are in nobody's way.
+    over the known map to the nearest unknown or dirty cell. Where there is no path d is unbounded:
+    -1, and 0 everywhere when the robot itself has no path. Other robots block no path.
 
-    With private maps the distances are those over each robot's own. With `position_noise` both
-    planes are those around the cell that the robot takes for its own, and where the map holds
-    that for a wall the second is 0 all over.
+    With private maps the distances are over each robot's own map. With `position_noise` both
+    planes are around the cell that the robot takes for its own, and where the map has a wall there
+    the second plane is 0 everywhere.
 
-    Unlike the crop this costs the house, not the view: a flood over every known map a step.
+    Unlike the crop's, its cost grows with the house, not with the view: a flood over every known
+    map in each step.
 
     Args:
         view_size: K, the side of the square in cells, odd.

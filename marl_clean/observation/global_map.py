@@ -1,4 +1,4 @@
-"""`observation=global_map`: all of the map, for whoever decides for all."""
+"""`observation=global_map`: the whole map, for central controllers."""
 
 from typing import final
 
@@ -20,19 +20,19 @@ from marl_clean.world.step import Entries
 
 @final
 class GlobalMap(Observation):
-    """A robot sees all of its map, and on a plane of its own where in it it is.
+    """A robot sees its whole map, and its own cell on a second plane.
 
     Adds `("agents", "observation")`, float32 `[*B, n, 2, L + 2, L + 2]`: the map's values, the
     house's ring at the upper and left edge, unknown where the house is smaller than L x L; and a
-    plane that is 1 at the robot's own cell, else 0. Square, so that it can be turned.
+    plane that is 1 at the robot's own cell, else 0. Square, so that it can be rotated.
 
-    L is a setting and not what the houses at hand happen to need: the network's size hangs on it,
-    so weights trained with one L play smaller houses and no larger ones.
+    L is a setting and not derived from the houses, since the network's size depends on it: weights
+    trained with one L work in smaller houses and in no larger ones.
 
-    Costs the house.
+    Its cost grows with the house.
 
     Args:
-        largest_side: L, the most rows or columns of a house.
+        largest_side: L, the largest number of rows or columns of a house.
 
     Raises:
         BadInput: a house is larger.

@@ -17,24 +17,24 @@ from marl_clean.world.step import Entries
 
 @final
 class Pyramid(Observation):
-    """The crop, and twice, four times ... as much of the map around it, the coarser the farther.
+    """The crop, and twice, four times ... as large squares of the map around it, ever coarser.
 
     Adds `("agents", "observation")`, float32 `[*B, n, 1 + 4 (scales - 1), K, K]`: the crop, then
     for s = 1, 2, ... the square of K 2^s x K 2^s cells around the robot as four planes in [0, 1],
     each entry a square of 2^s x 2^s cells: the share of them that is blocked, the share that is
     unknown, their dirt on average (1 - 2 v of an available cell, 0 of others), and whether there
     is a robot. The robot's own cell is in the middle of the middle entry at every scale, so cells
-    on the border of two entries count half in each, and turned views are views of turned houses.
+    on the border of two entries count half in each, and rotated views are views of rotated houses.
 
-    Shares, since an average of the map's codes would mix walls with dirt; they are what the
-    encoder's `planes` makes of the crop, averaged, and pass it unchanged.
+    They are shares, since an average of the map's codes would mix walls with dirt: averages of the
+    planes that the encoder's `planes` makes of the crop, and passed on unchanged by it.
 
-    Costs (K 2^(scales - 1))^2 cells a robot, whatever the house: with the defaults some 17 times
-    the crop's.
+    Its cost is (K 2^(scales - 1))^2 cells a robot, whatever the house: with the defaults some 17
+    times the crop's.
 
     Args:
         view_size: K, the side of every square, odd.
-        scales: how many scales, the crop among them.
+        scales: the number of scales, the crop among them.
         position_noise: see `Crop`; all scales are around the same cell.
     """
 

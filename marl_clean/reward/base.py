@@ -1,4 +1,4 @@
-"""What each robot is paid of what all of them earn (paper §3.4)."""
+"""How what the robots earn is split into what each is paid (paper §3.4)."""
 
 from abc import abstractmethod
 
@@ -11,8 +11,8 @@ from marl_clean.env.transform import RewardTransform
 class RewardSplit(RewardTransform):
     """Writes `("next", "agents", "reward")` `[*B, n, 1]`, from each robot's `own_reward`.
 
-    A pure function of what the robots earned in a step and of who was in contact when the
-    actions were chosen, whatever becomes of the messages. It is compiled along with the step.
+    A pure function of what the robots earned in a step and of which were in contact when the
+    actions were chosen, whether or not messages arrive. It is compiled into one call with the step.
     """
 
     @abstractmethod

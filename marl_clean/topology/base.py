@@ -20,7 +20,7 @@ from marl_clean.world.step import Entries
 
 
 class Topology(WorldTransform):
-    """Adds who is in contact and who is nearest.
+    """Adds which robots are in contact, and their ranks by distance.
 
     `("agents", "adjacency")`, bool `[*B, n, n]`: symmetric with a false diagonal.
     `("agents", "distance_rank")`, int64 `[*B, n, n]`: 0 the robot itself, 1 the nearest, ...
@@ -33,14 +33,14 @@ class Topology(WorldTransform):
         """Return which robots are in contact, a pure function of the two."""
 
     def among(self, n_agents: int) -> Bool[Tensor, "agent agent"]:
-        """Return who is in contact where nobody has a position.
+        """Return which agents are in contact in an env without positions.
 
         Raises:
             BadInput: contact depends on positions.
         """
         level = type(self).__module__.rpartition(".")[2]
         raise BadInput(
-            f"topology={level}: needs positions, which env does not tell; valid: full, none"
+            f"topology={level}: needs positions, which env does not have; valid: full, none"
         )
 
     def read(self, state: State, setup: Setup) -> Entries:

@@ -1,4 +1,4 @@
-"""Who acts while a run collects: for its first frames a planner, then the learner itself."""
+"""The policy that collects: for a run's first frames a planner, then the learner itself."""
 
 from collections.abc import Mapping
 
@@ -19,7 +19,7 @@ from marl_clean.planner.base import Planner
 
 
 class Demonstrator(TensorDictModuleBase):
-    """A planner's actions, written down as what was shown, too."""
+    """A planner's actions, also recorded as demonstrations."""
 
     def __init__(self, planner: Planner) -> None:
         super().__init__()
@@ -32,22 +32,22 @@ class Demonstrator(TensorDictModuleBase):
         return tensordict.set(keys.ACTION, action).set(keys.DEMONSTRATION, action.clone())
 
 
-class Turns(TensorDictModuleBase):
-    """Acts by one policy while a planner shows, by another afterwards.
+class Switching(TensorDictModuleBase):
+    """Acts by a demonstrating policy at first, by an exploring one afterwards.
 
     Attributes:
-        shows: whether the planner acts now.
+        demonstrates: whether the demonstrating policy acts now.
     """
 
-    def __init__(self, exploring: TensorDictModuleBase, showing: TensorDictModuleBase) -> None:
+    def __init__(self, exploring: TensorDictModuleBase, planned: TensorDictModuleBase) -> None:
         super().__init__()
-        self.exploring, self.showing, self.shows = exploring, showing, False
+        self.exploring, self.planned, self.demonstrates = exploring, planned, False
         self.in_keys = list(exploring.in_keys)
         self.out_keys = [*exploring.out_keys, keys.DEMONSTRATION]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        if self.shows:
-            return self.showing(tensordict)
+        if self.demonstrates:
+            return self.planned(tensordict)
         frame = self.exploring(tensordict)
         return frame.set(keys.DEMONSTRATION, torch.full_like(frame[keys.ACTION], -1))
 
@@ -56,16 +56,16 @@ class WarmStart:
     """Lets a planner act for the first frames of a run; without one the learner always acts.
 
     Args:
-        agent: with a planner it learns from what is shown, too.
-        env: whose houses the planner plans for.
-        imitate: the planner's name; None: nobody shows anything.
+        agent: with a planner it also learns from the demonstrations.
+        env: the env that the planner plans for.
+        imitate: the planner's name; None: there are no demonstrations.
         until: the frames after which the learner acts itself.
 
     Attributes:
-        policy: what collects.
+        policy: the policy of the collector.
 
     Raises:
-        BadInput: a learner that cannot, or an env without houses.
+        BadInput: a learner that cannot imitate, or an env without houses.
     """
 
     def __init__(self, agent: Agent, env: EnvBase, imitate: str | None, until: float) -> None:
@@ -79,19 +79,19 @@ class WarmStart:
         planner = instantiate(DictConfig(read_level("planner", imitate)))
         self.planner = planner.bind(env.base_env)
         agent.demonstrated = True
-        showing = agent.demonstrated_by(Demonstrator(planner), env.full_action_spec)
-        self.policy = Turns(exploring, showing)
+        planned = agent.demonstrated_by(Demonstrator(planner), env.full_action_spec)
+        self.policy = Switching(exploring, planned)
 
     def at(self, frames: int) -> None:
-        """Let the one act whose turn it is after so many frames."""
-        if isinstance(self.policy, Turns):
-            self.policy.shows = frames < self.until
+        """Choose the policy that acts after this number of frames."""
+        if isinstance(self.policy, Switching):
+            self.policy.demonstrates = frames < self.until
 
     def state(self) -> dict[str, Tensor]:
-        """Return what the planner remembers."""
+        """Return the planner's memory."""
         return {} if self.planner is None else self.planner.memory()
 
     def restore(self, state: Mapping[str, Tensor]) -> None:
-        """Go on from `state`."""
+        """Resume from `state`."""
         if self.planner is not None and state:
             self.planner.restore(state)

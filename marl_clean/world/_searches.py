@@ -1,6 +1,6 @@
 """Breadth-first searches as machine code, for a CPU: a cell is visited once, not at every step.
 
-The floods of `distance` give the same numbers on any device; tests hold the two together.
+The floods of `distance` give the same numbers on any device; tests compare the two.
 """
 
 from typing import no_type_check  # numba compiles a function as it stands, not in a wrapper
@@ -52,12 +52,12 @@ def first_steps_of_robot(
     begun: np.ndarray,
     queue: np.ndarray,
 ) -> tuple[int, int]:
-    """Return a robot's first steps to its nearest goals as four bits, and how far they are.
+    """Return a robot's first steps to its nearest goals as four bits, and their distance.
 
     `grid` is flat, `stride` cells a row, with a ring of zeros around, `start` a cell of it, and
-    `others` the cells of all robots, of which the `rivals` send out waves, too. `reached` must be
-    -1 and `begun` 0 everywhere, and are again at the end: the step at which a wave came to a cell
-    first, and the first steps by which it was the robot's own.
+    `others` the cells of all robots, of which the `rivals` send out waves, too. The buffers hold
+    the step at which a wave first reached a cell (`reached`), and the robot's first steps that
+    lead there (`begun`); they must be -1 and 0 everywhere, and are again at the end.
     """
     head, tail = 0, 1
     queue[0], reached[start], begun[start] = start, 0, START
@@ -122,7 +122,7 @@ def first_steps(
     others: np.ndarray,
     rivals: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first steps to each robot's nearest goals, [env, robot, 4], and how far they are.
+    """Return the first steps to each robot's nearest goals, [env, robot, 4], and their distances.
 
     `passable` and `goals` are [env, map, row, col], one map for all robots or one for each;
     `starts` and `others` are flat cells [env, robot]; `rivals` [env, robot, robot].
@@ -130,7 +130,7 @@ def first_steps(
     envs, robots = starts.shape
     maps, rows, cols = passable.shape[1:]
     stride = cols + 2
-    ways = np.zeros((envs, robots, 4), np.bool_)
+    leads = np.zeros((envs, robots, 4), np.bool_)
     lengths = np.full((envs, robots), UNREACHABLE, np.int32)
     grid = np.zeros((rows + 2) * stride, np.uint8)
     reached = np.full((rows + 2) * stride, -1, np.int32)
@@ -146,8 +146,8 @@ def first_steps(
                 grid, stride, start, mates, rivals[env, robot], reached, begun, queue
             )
             for action in range(4):
-                ways[env, robot, action] = (bits >> action) & 1
-    return ways, lengths
+                leads[env, robot, action] = (bits >> action) & 1
+    return leads, lengths
 
 
 @machine_code

@@ -1,4 +1,4 @@
-"""How good it is to be where a robot stands: the potential of reward shaping."""
+"""The potential of reward shaping: minus the walking distance to the nearest goal."""
 
 import torch
 from jaxtyping import Float
@@ -10,15 +10,15 @@ from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import is_known_free, is_known_uncleaned, is_unknown
 from marl_clean.world.state import State, cell_index
 
-FARTHEST = 60  # steps; nothing farther, or out of reach, is any worse
+FARTHEST = 60  # steps; distances are clipped here, unreachable goals included
 
 
 def potential(state: State, rules: Rules) -> Float[Tensor, "env agent 1"]:
     """Return minus the steps from each robot to the nearest cell that it has to visit.
 
-    On foot over cells known to be available, to the nearest unknown cell of the house, without
-    its ring, or available cell that nobody has cleaned; all as the map says that the robot
-    reads. From 0 to -FARTHEST, which it is where no such cell can be reached. Costs the house.
+    The walk is over cells known to be available, to the nearest unknown cell of the house, without
+    its ring, or available cell that was never cleaned, by the map that the robot reads. From 0 to
+    -FARTHEST, its value where no such cell can be reached. The cost grows with the house.
     """
     ring = rules.margin - 1
     height, width = state.record.shape[-2:]

@@ -1,4 +1,4 @@
-"""What lies around a robot at any scale, in numbers that do not grow with the house."""
+"""The surroundings of a robot at any scale, in numbers that do not grow with the house."""
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -14,9 +14,9 @@ def block_shares(
 ) -> Float[Tensor, "env agent 5 5"]:
     """Return what share of each block of `block` x `block` cells around a robot is in `mask`.
 
-    A grid of 5 x 5 blocks, the robot's cell in the middle of the middle one; `centre` are places
-    in the matrix. Outside of it nothing is. From sums over all cells above and left of each, so a
-    block costs four reads whatever its size.
+    A grid of 5 x 5 blocks, the robot's cell in the middle of the middle block; `centre` are places
+    in the matrix. Cells outside the matrix are not in `mask`. Computed from prefix sums, so a block
+    costs four reads whatever its size.
     """
     num_envs, n_agents = centre.shape[:2]
     height, width = mask.shape[-2:]
@@ -37,27 +37,27 @@ def in_squares(
     squares: int,
     side: int,
 ) -> Float[Tensor, "env agent row col"]:
-    """Mark in which of `squares` x `squares` squares of `side` cells around it a robot sees others.
+    """Mark which of `squares` x `squares` squares of `side` cells around a robot hold others.
 
-    1 where at least one robot that is `visible` stands, the robot itself in the middle.
+    1 where at least one `visible` robot stands; the robot itself is in the middle.
     """
     place = (offset + squares * side // 2).div(side, rounding_mode="floor")
     inside = visible & (place >= 0).all(-1) & (place < squares).all(-1)
     index = torch.where(inside, place[..., 0] * squares + place[..., 1], squares**2)
     marks = torch.zeros((*offset.shape[:2], squares**2 + 1), device=offset.device)
-    marks = marks.scatter(2, index, 1.0)  # those that are not inside beyond the end
+    marks = marks.scatter(2, index, 1.0)  # robots outside go beyond the end
     return marks[..., :-1].unflatten(-1, (squares, squares))
 
 
-def shorter_ways(
+def closer_steps(
     distance: Int[Tensor, "env map height width"], cell: Int[Tensor, "env agent"]
 ) -> tuple[Bool[Tensor, "env agent 4"], Int[Tensor, "env agent"]]:
-    """Return which steps bring each robot nearer, and its own distance; `cell` is flat."""
+    """Return which actions bring each robot nearer, and its own distance; `cell` is flat."""
     n_agents = cell.shape[1]
     every = torch.cat([distance[None], neighbours(distance, UNREACHABLE)])
     every = every.flatten(3).expand(-1, -1, n_agents, -1)
     own, *beside = every.gather(3, cell[None, :, :, None].expand(5, -1, -1, -1))[..., 0]
-    return torch.stack([each < own for each in beside], -1), own
+    return torch.stack([distance < own for distance in beside], -1), own
 
 
 def likely_wall(
