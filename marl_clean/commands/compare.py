@@ -14,7 +14,7 @@ from marl_clean.config.config_hash import OUTSIDE_THE_HASH
 from marl_clean.config.schema import choices
 from marl_clean.config.stored import RUNS, find_run, load_config
 from marl_clean.errors import BadInput
-from marl_clean.evaluation.paired import Row, differences, make_paired_table, without_twin
+from marl_clean.evaluation.paired import Row, differences, make_paired_table, unpaired_seeds
 from marl_clean.evaluation.records import MEASURED, Entry, read_entries, summarise, write_entries
 from marl_clean.evaluation.table import YARDSTICK, make_table, output
 from marl_clean.storage import files
@@ -116,9 +116,9 @@ def _compared(world: World, against: str | None) -> WorldComparison:
     if len(rows) < 2 and against is None:
         return WorldComparison(pools, planner, entries, None, [])
     reference = reference_of(world, rows, against)
-    if alone := without_twin(rows, reference):
-        listed = "; ".join(alone)
-        log.warning("seeds without a twin beside %s: %s", reference.label, listed)
+    if unpaired := unpaired_seeds(rows, reference):
+        listed = "; ".join(unpaired)
+        log.warning("seeds that %s cannot be paired with: %s", reference.label, listed)
     return WorldComparison(pools, planner, entries, reference, differences(rows, reference))
 
 

@@ -18,7 +18,7 @@ from marl_clean.evaluation.evaluator import (
     measure_beside_planners,
     measure_planner,
 )
-from marl_clean.evaluation.interventions import talking
+from marl_clean.evaluation.interventions import communicating
 from marl_clean.evaluation.records import Entry, write_entries
 from marl_clean.evaluation.table import make_table, output
 
@@ -73,7 +73,7 @@ def measured(
         return entries
     policy = build.load_policy(find_run(cfg.checkpoint), cfg).to(cfg.device)
     if interventions:
-        talking(policy, cfg.name)
+        communicating(policy, cfg.name)
     measurements = measure_beside_planners(cfg, policy, cfg.name, on_progress)
     own = next(measurements)
     add(own)

@@ -59,7 +59,7 @@ def main(
     from marl_clean import build
     from marl_clean.commands.compare import pooled
     from marl_clean.evaluation.evaluator import in_any_env, measure
-    from marl_clean.evaluation.interventions import talking
+    from marl_clean.evaluation.interventions import communicating
     from marl_clean.evaluation.records import write_entries
     from marl_clean.report.axes import save_figure
     from marl_clean.report.matrix import draw_matrix
@@ -71,7 +71,7 @@ def main(
             entries = []
             for folder in trained.folders:
                 cfg = over(load_config(folder), section, houses)
-                policy = talking(build.load_policy(folder, cfg).to(cfg.device), cfg.name)
+                policy = communicating(build.load_policy(folder, cfg).to(cfg.device), cfg.name)
                 epsilon = cfg.evaluation.epsilon
                 title = f"{label} | {name}"
                 entries.append(measure(cfg, partial(in_any_env, policy), title, epsilon=epsilon))

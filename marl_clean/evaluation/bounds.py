@@ -1,4 +1,4 @@
-"""Lower bounds on the times at which a house is clean, which no team can beat.
+"""Lower bounds on the times at which a house can be clean.
 
 F free cells, n0 distinct start cells, n robots, each of which cleans at most one cell a step:
 T_q >= ceil((need(q) - n0) / n), and T_100 >= the longest of the shortest walks to a cell.
@@ -20,14 +20,14 @@ def ceil_div(numerator: Count, denominator: int) -> Count:
 
 
 def need(percent: int, num_free: Count) -> Count:
-    """How many cells make `percent` of a house: ceil(percent * F / 100)."""
+    """The number of cells that are `percent` of a house: ceil(percent * F / 100)."""
     return ceil_div(percent * num_free, 100)
 
 
 def bound_cells(
     cells: Int[np.ndarray, " house"], num_starts: Int[np.ndarray, " house"], n_agents: int
 ) -> Int[np.ndarray, " house"]:
-    """Steps that n robots need for so many cells, the starts being clean at step 0."""
+    """Steps that n robots need for this number of cells, the starts being clean at step 0."""
     return np.maximum(ceil_div(cells - num_starts, n_agents), 0)
 
 
@@ -44,7 +44,7 @@ def bound_percent(
 def bound_100(
     free: Bool[np.ndarray, "house row col"], starts: Int[np.ndarray, "house robot 2"]
 ) -> Int[np.ndarray, " house"]:
-    """The least T_100: the larger of the share of work and of the walk to the farthest cell."""
+    """The least T_100: the larger of a robot's share of cells and the walk to the farthest cell."""
     n_agents = starts.shape[1]
     work = bound_percent(100, free.sum(axis=(1, 2)), count_starts(starts), n_agents)
     return np.maximum(work, walking_distance(free, starts).max(axis=(1, 2)))
@@ -68,7 +68,7 @@ def count_starts(starts: Int[np.ndarray, "house robot 2"]) -> Int[np.ndarray, " 
 
 
 def count_border(free: Bool[np.ndarray, "house row col"]) -> Int[np.ndarray, " house"]:
-    """Blocked cells with a free cell above, right, below or left of them."""
+    """The number of blocked cells with a free cell above, right, below or left of them."""
     ringed = np.pad(free, ((0, 0), (1, 1), (1, 1)))
     return (_spread(ringed) & ~ringed).sum(axis=(1, 2))
 
@@ -76,7 +76,7 @@ def count_border(free: Bool[np.ndarray, "house row col"]) -> Int[np.ndarray, " h
 def walking_distance(
     free: Bool[np.ndarray, "house row col"], starts: Int[np.ndarray, "house robot 2"]
 ) -> Int[np.ndarray, "house row col"]:
-    """Steps from the nearest start to each cell; -1 where no robot can go.
+    """Steps from the nearest start to each cell; -1 where no robot can reach it.
 
     A flood of all houses at once: as many passes as the longest walk has steps.
     """

@@ -1,4 +1,4 @@
-"""Do messages matter? One checkpoint, its messages untouched and changed, on the same houses."""
+"""Do messages matter? One checkpoint on the same houses, with its messages intact and changed."""
 
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -9,7 +9,7 @@ from rich import box
 from rich.table import Table
 
 from marl_clean.evaluation.evaluator import OnProgress, in_any_env, measure
-from marl_clean.evaluation.interventions import INTERVENTIONS, intervened, talking
+from marl_clean.evaluation.interventions import INTERVENTIONS, communicating, intervened
 from marl_clean.evaluation.listening import listening
 from marl_clean.evaluation.paired import Row, differences, make_paired_table
 from marl_clean.evaluation.records import MEASURES, Entry, sample
@@ -24,14 +24,14 @@ def intervene(
     interventions: Sequence[str],
     on_progress: OnProgress | None = None,
 ) -> Iterator[Entry]:
-    """Yield the untouched entry with how well is listened, and one for each intervention.
+    """Yield the untouched entry with `listening`, then one entry for each intervention.
 
-    Each is measured when it is asked for.
-    These have `change`: for every measure the intervened mean minus the untouched one, with a
-    paired interval over houses. Houses, starts and random actions are the same.
-    Raises BadInput where the robots say nothing.
+    Each is measured lazily. Those of interventions have `change`: for every measure the
+    intervened mean minus the untouched mean, with a paired interval over houses. Houses, starts
+    and random actions are the same.
+    Raises BadInput where the robots send no messages.
     """
-    speaking = talking(policy, name)
+    speaking = communicating(policy, name)
     epsilon = cfg.evaluation.epsilon
     count = len(untouched["houses"])
     yield {**untouched, "listening": listening(cfg, speaking, count, epsilon)}
@@ -50,28 +50,28 @@ def intervene(
 
 
 def change(entry: Entry, untouched: Entry) -> dict[str, Any]:
-    """Every measure's paired difference."""
+    """Every measure's paired difference to the untouched policy."""
     changes = {}
     for name in MEASURES:
         if name in entry["houses"][0] and name in untouched["houses"][0]:
-            ours, theirs = (sample([one["houses"]], name) for one in (entry, untouched))
-            difference = paired_difference(ours, theirs)
+            values, baseline = (sample([e["houses"]], name) for e in (entry, untouched))
+            difference = paired_difference(values, baseline)
             interval = None if difference.ci95 is None else list(difference.ci95)
             changes[name] = {"mean": difference.mean, "ci95": interval}
     return changes
 
 
 def make_causal_tables(entries: Sequence[Entry]) -> list[Table]:
-    """What each intervention changed, and how well is listened."""
+    """What each intervention changed, and how far robots listen."""
     untouched, *changed = entries
     reference = Row("untouched", {0: untouched})
     rows = [Row(entry["policy"].rpartition(" | ")[2], {0: entry}) for entry in changed]
     summary = untouched["listening"]
     table = Table(
-        title="listening: what replaced messages would do, untouched play",
+        title="listening: what replaced messages would change, in untouched episodes",
         caption=(
-            "Of robots that hear somebody. moved: mean |Q' - Q| over the spread of Q between\n"
-            "actions (a shift of all alike changes none); switched: the best action is another;\n"
+            "Robots that hear a message. moved: mean |Q' - Q| over the spread of Q between\n"
+            "actions (a shift of all alike changes none); switched: the best action differs;\n"
             f"kl, cic: nats, softmax at temperature {summary['temperature']}; cic: information\n"
             f"between message and action, over {summary['messages']} messages."
         ),

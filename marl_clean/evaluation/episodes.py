@@ -1,4 +1,4 @@
-"""Any policy on an external task: its return over seeded episodes, for want of houses.
+"""Any policy on an external task: its return over seeded episodes, since there are no houses.
 
 Episode i is that of env i, with the same seed for every policy. As in houses, nothing here draws
 from a global generator.
@@ -34,19 +34,19 @@ def measure_return(cfg: DictConfig, policy: nn.Module | None, name: str, seed: i
     episodes, epsilon = cfg.evaluation.houses, cfg.evaluation.epsilon
     share = 1.0 if policy is None else epsilon
     records: list[Mapping[str, Any]] = []
-    for first in range(0, episodes, cfg.env.num_envs):  # as many at once as training plays
+    for first in range(0, episodes, cfg.env.num_envs):  # as many at once as in training
         num_envs = min(cfg.env.num_envs, episodes - first)
         env = build.make_env(cfg, num_envs=num_envs, first_env=first)
-        records += play(env, policy, share, seed)
+        records += run_episodes(env, policy, share, seed)
         env.close()
-    explored = 0.0 if policy is None else epsilon  # as of planners: they do not explore
+    explored = 0.0 if policy is None else epsilon  # as for planners, which do not explore
     entry = make_entry(
         name, cfg.env.task, config_hash(cfg), explored, env.base_env.n_agents, records
     )
     return {**entry, "world": None}  # its rules are not ours
 
 
-def play(
+def run_episodes(
     env: TransformedEnv, policy: nn.Module | None, epsilon: float, seed: int
 ) -> list[dict[str, int | float]]:
     """One episode in every env, with a share of random actions; the records in their order."""
@@ -64,19 +64,19 @@ def play(
         explores = random_bits(seed, *words, index, 0).to(spec.device) < round(epsilon * 2**32)
         return torch.where(explores, drawn, action)
 
-    chosen = Idle(spec) if policy is None else policy
+    chosen = ZeroActions(spec) if policy is None else policy
     first = first_frame(env, chosen)
-    seeds, playing = base.episode_seeds, ~first[keys.DONE].flatten().cpu()
-    for frame in rollout_episodes(env, chosen, first, ask=_ask, explore=explore, resets=True):
+    seeds, running = base.episode_seeds, ~first[keys.DONE].flatten().cpu()
+    for frame in rollout_episodes(env, chosen, first, act=_act, explore=explore, resets=True):
         earned = frame["next", keys.OWN_REWARD].sum((1, 2)).double().cpu()
-        total += torch.where(playing, earned, 0.0)
-        steps += playing
-        playing &= ~frame["next", keys.DONE].flatten().cpu()
+        total += torch.where(running, earned, 0.0)
+        steps += running
+        running &= ~frame["next", keys.DONE].flatten().cpu()
     rows = zip(seeds.tolist(), steps.tolist(), total.tolist(), strict=True)
     return [dict(zip(("seed", "steps", "return"), row, strict=True)) for row in rows]
 
 
-class Idle(nn.Module):
+class ZeroActions(nn.Module):
     """Action 0 of all robots, for exploration to replace."""
 
     def __init__(self, spec: TensorSpec) -> None:
@@ -87,6 +87,6 @@ class Idle(nn.Module):
         return td.set(keys.ACTION, self.spec.zero())
 
 
-def _ask(policy: nn.Module, td: TensorDictBase, playing: Bool[Tensor, " env"]) -> TensorDictBase:
-    """Ask about all envs: those that ended play on, in episodes that are not counted."""
+def _act(policy: nn.Module, td: TensorDictBase, running: Bool[Tensor, " env"]) -> TensorDictBase:
+    """Act in all envs: those that ended go on, in episodes that are not counted."""
     return policy(td)

@@ -29,11 +29,11 @@ from marl_clean.settings import HouseOrder
 from marl_clean.world.random import Purpose, random_below, random_bits, words_of_robots
 
 PolicyFor = Callable[[TransformedEnv], nn.Module]  # a planner is bound to its env, a network is not
-OnProgress = Callable[[str, float], object]  # a policy's name, and the share of it that is measured
+OnProgress = Callable[[str, float], object]  # a policy's name, and the share that is measured
 
 START_SEEDS = {"validation": 2**31 + 1, "test": 2**31 + 2}
-"""Of the starts in held-out houses: above every run's own seed, another for each split, so that
-a plan's validation episodes are neither those of its test nor of training."""
+"""Seeds of the starts in held-out houses: above every run's own seed and different for each split,
+so that a plan's validation episodes are neither those of its test nor of training."""
 CELLS_AT_ONCE = 4_000_000  # bounds the memory to some hundred MB
 YARDSTICKS: tuple[tuple[str, dict[str, str]], ...] = (
     ("random", {}),
@@ -54,13 +54,13 @@ def evaluate(
     seeded: bool = False,
     on_share: Callable[[float], object] | None = None,
 ) -> list[Record]:
-    """Play the first `count` houses of a split once each; a loaded plan is started as often.
+    """Run one episode in each of a split's first `count` houses; a plan is started `count` times.
 
     Returns one record a house, with its seed or path: every measure, its bounds and its size.
     `epsilon` is the share of random actions, drawn for each robot. With `optimum` the proven
-    least T_100 is looked for first, which takes up to a minute a house, once in a process.
+    least T_100 is computed first, which takes up to a minute a house, once in a process.
     `seeded`: frames hold draws for channels, whether or not the config's own channel draws.
-    `on_share` is called after each step with the share of the whole that is played.
+    `on_share` is called after each step with the share that is done.
     """
     houses = build.held_out_houses(cfg, house_set, count)
     cells = houses.free.shape[1] * houses.free.shape[2]
@@ -69,18 +69,18 @@ def evaluate(
     for first in range(0, count, at_once):
         num_envs = min(at_once, count - first)
         env = held_out_env(cfg, houses, house_set, num_envs, first, seeded)
-        watch = None if on_share is None else _of_chunk(on_share, first, num_envs, count)
-        played = play(env, policy_for(env), epsilon, certify, optimum, watch)
-        for index, record in enumerate(played, start=first):
+        on_part = None if on_share is None else _of_part(on_share, first, num_envs, count)
+        measured = run_episodes(env, policy_for(env), epsilon, certify, optimum, on_part)
+        for index, record in enumerate(measured, start=first):
             source = houses.sources[index % len(houses)]
             records.append({source_key(source): source, **record})
     return records
 
 
-def _of_chunk(
+def _of_part(
     on_share: Callable[[float], object], first: int, num_envs: int, count: int
 ) -> Callable[[float], object]:
-    """Tell of the share of some houses as a share of all."""
+    """Report the share of some houses as a share of all."""
     return lambda share: on_share((first + share * num_envs) / count)
 
 
@@ -94,7 +94,7 @@ def held_out_env(
 ) -> TransformedEnv:
     """The env of held-out houses `first`, `first + 1`, ...: house i is environment i.
 
-    How many are played at once changes no episode.
+    The number of envs that run together changes no episode.
     """
     env = build.make_env(
         cfg,
@@ -138,7 +138,7 @@ def measure(
     seeded: bool = False,
     on_progress: OnProgress | None = None,
 ) -> Entry:
-    """One entry of evaluation.json: a policy on the houses that `cfg.evaluation` asks for."""
+    """One entry of evaluation.json: a policy on the houses of `cfg.evaluation`."""
     section = cfg.evaluation
     records = evaluate(
         cfg,
@@ -157,7 +157,7 @@ def measure(
 
 
 def measure_planner(cfg: DictConfig, on_progress: OnProgress | None = None) -> Entry:
-    """The entry of `cfg.planner`, under the name it gives itself; planners do not explore.
+    """The entry of `cfg.planner`, under its label; planners do not explore.
 
     Raises BadInput where there are no houses to plan in.
     """
@@ -172,22 +172,22 @@ def measure_beside_planners(
 ) -> Iterator[Entry]:
     """A learned policy, then random and nearest_unknown (none, greedy) on the same houses.
 
-    Each is measured when it is asked for. On an external task, random alone.
+    Each is measured lazily. On an external task, random alone.
     """
     if not has_houses(cfg):
         seed = START_SEEDS[cfg.evaluation.house_set]
         both: tuple[tuple[nn.Module | None, str], ...] = ((policy, name), (None, RANDOM))
-        yield from (measure_return(cfg, one, called, seed) for one, called in both)
+        yield from (measure_return(cfg, actor, label, seed) for actor, label in both)
         return
     epsilon = cfg.evaluation.epsilon
     yield measure(cfg, lambda env: policy, name, epsilon=epsilon, on_progress=on_progress)
     for planner, settings in YARDSTICKS:
-        rival = cfg.copy()
-        rival.planner = {**read_level("planner", planner), **settings}
-        yield measure_planner(rival, on_progress)
+        planned = cfg.copy()
+        planned.planner = {**read_level("planner", planner), **settings}
+        yield measure_planner(planned, on_progress)
 
 
-def play(
+def run_episodes(
     env: TransformedEnv,
     policy: nn.Module,
     epsilon: float,
@@ -195,7 +195,7 @@ def play(
     optimum: bool = False,
     on_share: Callable[[float], object] | None = None,
 ) -> list[Record]:
-    """One episode in every environment, greedily but for `epsilon`; its records in their order."""
+    """One episode in every environment, epsilon-greedily; its records in their order."""
     first = first_frame(env, policy)
     recorder = Recorder(env.base_env, certify, optimum)
     steps = rollout_episodes(
@@ -203,7 +203,7 @@ def play(
         policy,
         first,
         explore=exploring(env.base_env, epsilon),
-        playing=lambda: recorder.running,
+        running=lambda: recorder.running,
     )
     for step in steps:
         recorder.update(step)
@@ -213,7 +213,7 @@ def play(
 
 
 def exploring(env: CleaningEnv, epsilon: float) -> Explore | None:
-    """What replaces a share of the actions; None where it is none of them."""
+    """The function that replaces a share of the actions; None where epsilon is 0."""
     return partial(with_random_actions, env, epsilon=epsilon) if epsilon > 0 else None
 
 
@@ -230,10 +230,10 @@ def with_random_actions(
 
 
 def in_any_env(policy: nn.Module, env: TransformedEnv) -> nn.Module:
-    """The policy for an env: a network is the same in all."""
+    """The policy for an env: a network is the same in all envs."""
     return policy
 
 
 def source_key(source: int | str) -> str:
-    """What a house's origin is called in its record."""
+    """The key of a house's source in its record."""
     return "seed" if isinstance(source, int) else "path"

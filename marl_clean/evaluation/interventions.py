@@ -1,7 +1,7 @@
-"""What if messages were others? Changes to a trained policy's messages, put behind its channel.
+"""What if messages were different? Changes to a trained policy's messages, behind its channel.
 
-Each is a channel nearest to the receiver: what is sent, and what it costs, stays as it is. None is
-to be trained with. Source of the question: arXiv 1903.05168.
+Each is a channel nearest to the receiver: what is sent, and what it costs, is unchanged. They are
+not for training. Source of the question: arXiv 1903.05168.
 """
 
 import copy
@@ -33,10 +33,11 @@ class Zero(Channel):
 
 
 class Shuffle(Channel):
-    """Hear another's message: of another robot, of this world or another, in the same step.
+    """Hear another robot's message of the same step, from this world or another.
 
-    All robots still playing stand in a row drawn anew each step, and of each is heard what the one
-    `shift` places on sends; never its own, where there is another.
+    The robots of all running episodes are put in a random order, drawn in each step, and a robot's
+    message is replaced by that of the robot `shift` places later; never by its own, where there is
+    another.
     """
 
     draws = True
@@ -57,7 +58,7 @@ class Shuffle(Channel):
 
 
 class Freeze(Channel):
-    """Hear of each robot what it sent in the first step of the episode."""
+    """Hear from each robot what it sent in the first step of the episode."""
 
     remembers = keys.FROZEN
 
@@ -85,9 +86,9 @@ class Freeze(Channel):
 
 
 class Noise(Channel):
-    """Hear each number with Gaussian noise as large as it varies itself, between robots now.
+    """Hear each number with Gaussian noise, whose std is that of the number over robots now.
 
-    Of a robot that chose to be silent there is nothing to hear, nor any noise.
+    A robot that chose to be silent is not heard, and neither is any noise.
     """
 
     draws = True
@@ -101,7 +102,7 @@ class Noise(Channel):
 
 
 class Late(Later):
-    """Hear every message a step later than it would have come."""
+    """Hear every message one step later."""
 
     remembers = keys.LATE
 
@@ -137,7 +138,7 @@ INTERVENTIONS: dict[str, Callable[[Dims], Channel]] = {
 
 
 def named(text: str) -> list[str]:
-    """The interventions that `zero,shut` or `all` asks for. Raises BadInput on another."""
+    """The interventions that `zero,shut` or `all` names. Raises BadInput on others."""
     names = [name.strip() for name in text.strip("[]").split(",")]
     if names == ["all"]:
         return list(INTERVENTIONS)
@@ -148,15 +149,17 @@ def named(text: str) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def talking(policy: nn.Module, name: str) -> Greedy:
-    """The policy as one whose robots talk. Raises BadInput where they do not."""
+def communicating(policy: nn.Module, name: str) -> Greedy:
+    """The policy itself. Raises BadInput where its robots send no messages."""
     if not isinstance(policy, Greedy) or policy.network.comm.rounds == 0:
-        raise BadInput(f"checkpoint={name}: its robots say nothing, so there is nothing to change")
+        raise BadInput(
+            f"checkpoint={name}: its robots send no messages, so there is nothing to change"
+        )
     return policy
 
 
 def intervened(policy: Greedy, channel: Callable[[Dims], Channel]) -> Greedy:
-    """The same policy, hearing through one more channel."""
+    """The same policy, with one more channel before each receiver."""
     network = copy.deepcopy(policy.network)
     network.put_behind(channel(tuple(network.comm.message_dims)))
     return Greedy(network, policy.n_agents, records_messages=True).eval()

@@ -1,8 +1,8 @@
-"""Does anybody listen? How far what robots want to do depends on what they hear.
+"""Positive listening: how far robots' action values depend on the messages they hear.
 
-Reward that comes with messages does not show that they are heard (arXiv 1903.05168); so in the
-states that a policy meets, what it hears is replaced and its action values are looked at, before
-anything is done. Only robots count that hear somebody.
+A higher reward with messages does not show that robots listen (arXiv 1903.05168); so in the states
+that a policy visits, the messages it hears are replaced and its action values compared, before it
+acts. Only robots that hear a message are counted.
 """
 
 from collections.abc import Sequence
@@ -24,20 +24,23 @@ from marl_clean.evaluation.statistics import estimate
 from marl_clean.learning.acting import Greedy
 
 TEMPERATURE = 1.0  # of the policies that values are turned into, in units of reward
-MESSAGES = 8  # other messages, by which the influence of messages is estimated
+MESSAGES = 8  # other messages, from which the influence of messages is estimated
 
 
 def listening(cfg: DictConfig, policy: Greedy, count: int, epsilon: float) -> dict[str, Any]:
-    """Play the held-out houses untouched and return what would change, with intervals over houses.
+    """Run the untouched policy and return what replaced messages would change.
+
+    With intervals over the held-out houses:
 
         moved:    mean over actions of |Q' - Q| / (max Q - min Q), Q' of a replaced message
-        switched: share of states in which the best action is another
+        switched: share of states in which the best action differs
         kl:       KL(p || p'), p = softmax(Q / temperature)
         cic:      mean over k of KL(p_k || mean of p_1 ... p_K): the information, in nats, between
-                  message and action, were the message drawn from what the robots say in that step
+                  message and action, were the message drawn from those sent in that step
 
-    The first three for messages replaced by zeros and by another's, cic over K = 8 others'.
-    Source: arXiv 1903.05168; there messages are symbols that can be counted, here they are drawn.
+    The first three are for messages replaced by zeros and by another robot's, cic is over those of
+    K = 8 other robots. Source: arXiv 1903.05168; there messages are symbols that can be counted,
+    here they are sampled.
     """
     houses = build.held_out_houses(cfg, cfg.evaluation.house_set, count)
     env = held_out_env(cfg, houses, cfg.evaluation.house_set, count, seeded=True)
@@ -46,10 +49,10 @@ def listening(cfg: DictConfig, policy: Greedy, count: int, epsilon: float) -> di
     sums: dict[str, Tensor] = {}
     heard = torch.zeros(count, dtype=torch.float64, device=env.device)
 
-    def ask(
-        policy: nn.Module, frame: TensorDictBase, playing: Bool[Tensor, " env"]
+    def compare(
+        policy: nn.Module, frame: TensorDictBase, running: Bool[Tensor, " env"]
     ) -> TensorDictBase:
-        hears = frame[keys.ADJACENCY].any(-1) & playing[:, None]
+        hears = frame[keys.ADJACENCY].any(-1) & running[:, None]
         replaced = [other(frame.clone())[keys.ACTION_VALUE] for other in (zeros, *others)]
         frame = policy(frame)
         heard.add_(hears.sum(1))
@@ -60,13 +63,13 @@ def listening(cfg: DictConfig, policy: Greedy, count: int, epsilon: float) -> di
         return frame
 
     first, explore = first_frame(env, policy), exploring(env.base_env, epsilon)
-    for _ in rollout_episodes(env, policy, first, ask=ask, explore=explore):
+    for _ in rollout_episodes(env, policy, first, act=compare, explore=explore):
         pass
     means = {name: (total / heard).cpu().numpy() for name, total in sums.items()}  # NaN: unheard
     return {
         "temperature": TEMPERATURE,
         "messages": MESSAGES,
-        **{name: _told(values) for name, values in means.items()},
+        **{name: _summary(values) for name, values in means.items()},
     }
 
 
@@ -75,7 +78,7 @@ def differences_of(
     zeros: Float[Tensor, "env agent action"],
     others: Sequence[Float[Tensor, "env agent action"]],
 ) -> dict[str, Float[Tensor, "env agent"]]:
-    """What replaced messages do to the action values, robot by robot; masked actions have none."""
+    """How replaced messages change each robot's action values; masked actions are ignored."""
     differences = {}
     chance = _policy(value)
     valued = value > torch.finfo(value.dtype).min
@@ -104,7 +107,7 @@ def _shuffle(shift: int, dims: tuple[int, ...]) -> Shuffle:
     return Shuffle(shift)
 
 
-def _told(values: Float[np.ndarray, " house"]) -> dict[str, Any]:
+def _summary(values: Float[np.ndarray, " house"]) -> dict[str, Any]:
     estimated = estimate(values[None])
     return {
         "mean": estimated.mean,

@@ -1,8 +1,8 @@
 """Every measure of an episode, counted while a batch of environments steps (world.md "Measures").
 
-One environment is one house and one episode. All counts are integers; shares are divided out at
-the very end. A measure stops at the step at which the house is clean, or at the end of the
-episode; only T_certify may continue.
+One environment is one house and one episode. All counts are integers; quotients are computed at
+the end. A measure stops at the step at which the house is clean, or at the end of the episode;
+only T_certify may continue.
 """
 
 from typing import Any
@@ -29,7 +29,7 @@ Record = dict[str, int | float | str | None]
 
 
 class Recorder:
-    """Follows episodes from their reset to their end, whatever the environments do afterwards.
+    """Records episodes from their reset to their end, whatever the environments do afterwards.
 
     `Recorder(env)` after the reset, `update(td)` with the tensordict of each step (root and
     "next"), `records()` once nothing is `running`. With `certify` the episode of a clean house
@@ -65,7 +65,7 @@ class Recorder:
         self.certified_at = full(NEVER)
         self.measuring = full(True, dtype=torch.bool)
         self.running = self.measuring.clone()
-        self._note(state)
+        self._record_times(state)
 
     def update(self, step: TensorDictBase) -> None:
         """Count one step: observations and actions in `step`, their outcome under its "next"."""
@@ -81,11 +81,11 @@ class Recorder:
         self.num_visited = torch.where(live, state.num_visited, self.num_visited)
         self.sum_visited += torch.where(live, state.num_visited, 0)
         self.steps = torch.where(live, state.step, self.steps)
-        self._note(state)
+        self._record_times(state)
         self._stop(state, step["next"][DONE].flatten())
 
     def share_done(self) -> float:
-        """The share of the episodes that is done: for each its coverage or its steps, if larger."""
+        """The mean progress of the episodes: of each its coverage or its steps, if larger."""
         by_cells = self.num_visited / self.num_free
         by_steps = self.steps / self.max_steps
         share = torch.maximum(by_cells, by_steps).clamp(max=1)
@@ -97,8 +97,8 @@ class Recorder:
         before = self.entered.gather(2, cell)
         self.entered.scatter_(2, cell, before | counts[..., None])
 
-    def _note(self, state: State) -> None:
-        """Record the times that this step is the first to reach."""
+    def _record_times(self, state: State) -> None:
+        """Record the times whose condition this step is the first to meet."""
         for percent, time in self.reached.items():
             enough = self.num_visited >= bounds.need(percent, self.num_free)
             first = enough & (time == NEVER)
@@ -109,7 +109,7 @@ class Recorder:
             self.certified_at = torch.where(reached, state.step, self.certified_at)
 
     def _stop(self, state: State, done: Bool[Tensor, " env"]) -> None:
-        """Done ends the measures, and the episode unless a clean house is yet to be certified."""
+        """End the measures where done, and the episode unless a clean house remains to certify."""
         self.measuring = self.measuring & ~done
         clean = self.num_visited >= self.num_free
         uncertified = (self.certified_at == NEVER) & (state.step < self.max_steps)
@@ -181,9 +181,9 @@ def step_counts(state: State, step: TensorDictBase) -> dict[str, Int[Tensor, " e
 
     An edge is a pair in contact when the actions were chosen; a message is what one robot sends
     along one of its edges in one round, so a step has two messages an edge and round, fewer where
-    a robot chooses or has to be silent, and none under a silent policy. A round counts where any
+    a robot chooses or has to be silent, and none without communication. A round counts where any
     robot sent. The gate's rate is the share of contacts over which a message was sent in the first
-    round, of a policy that sends at all.
+    round, for policies that communicate.
     """
     adjacency = step[ADJACENCY]
     degree = adjacency.sum(2)

@@ -1,7 +1,7 @@
 """The least time in which robots that know a small house can clean it, proven by OR-tools.
 
 Blind robots cannot be faster: their excess over it is the price of not knowing the house, and of
-suboptimal planning. OR-tools is an extra, and imported only where a time is asked for.
+suboptimal planning. OR-tools is an extra, and imported only where an optimum is computed.
 """
 
 from functools import lru_cache
@@ -28,7 +28,7 @@ def optimal_T_100(
     two of the clock's, so that results do not depend on how busy the machine is.
 
     One robot: the shortest walk to all cells is the shortest Hamiltonian path in the complete graph
-    of walking distances. Several: is there a schedule of T = `bound_100` steps, of one more, ...?
+    of walking distances. Several: is there a schedule of T = `bound_100` steps, of T + 1, ...?
     A house that can be clean after T steps can be clean after T + 1.
     """
     places = tuple((int(row), int(col)) for row, col in starts)
@@ -71,7 +71,7 @@ def _solve(model: Any, time_limit: float) -> tuple[int | None, float]:
 def _shortest_walk(
     free: Bool[np.ndarray, "row col"], start: Place, time_limit: float
 ) -> int | None:
-    """Steps of the shortest walk from `start` that meets all free cells, ending anywhere."""
+    """Steps of the shortest walk from `start` that visits all free cells, ending anywhere."""
     from ortools.sat.python import cp_model
 
     cells = np.argwhere(free)
@@ -95,7 +95,7 @@ def _shortest_walk(
 
 
 def _schedule(free: Bool[np.ndarray, "row col"], starts: tuple[Place, ...], steps: int) -> Any:
-    """A model of the schedules of so many steps that clean the house: each robot's cell by step."""
+    """A model of the schedules of `steps` steps that clean the house: each robot's cell by step."""
     from ortools.sat.python import cp_model
 
     model = cp_model.CpModel()
@@ -114,13 +114,13 @@ def _schedule(free: Bool[np.ndarray, "row col"], starts: tuple[Place, ...], step
             for cell, is_there in then.items():
                 came_from = [now[place] for place in (cell, *beside[cell]) if place in now]
                 model.add_bool_or(~is_there, *came_from)
-                for other in others:  # a robot that stands or stood there keeps the others out
-                    for taken in (other[step], other[step + 1]):
-                        if cell in taken:
-                            model.add_bool_or(~is_there, ~taken[cell])
+                for other in others:  # a cell that a robot is in or leaves is occupied
+                    for occupied in (other[step], other[step + 1]):
+                        if cell in occupied:
+                            model.add_bool_or(~is_there, ~occupied[cell])
             for cell in now:
                 if len(beside[cell]) < 4:
-                    continue  # beside a wall a robot stays by bumping into it
+                    continue  # beside a wall a robot can stay, by bumping into it
                 stood = [other[step] for other in others]
                 enters = [lower[step + 1] for lower in at[:robot]]
                 collides = [a[p] for a in stood + enters for p in beside[cell] if p in a]

@@ -16,10 +16,10 @@ FINISHED = "finished"
 COMPARED = ("T_90", "T_100", FINISHED)
 LEVEL = 0.05
 CAPTION = (
-    "Row minus reference, house by house and seed by seed; of times less is better.\n"
+    "Row minus reference, house by house and seed by seed; lower times are better.\n"
     "Brackets: 95 % bootstrap interval over seeds and then houses, too narrow for few seeds.\n"
     "**: p < 0.05 after Holm's correction over all comparisons of this table, *: before it;\n"
-    "p by seeds and houses, of one seed by houses alone: then it is of these weights only."
+    "p over seeds and houses; of one seed over houses alone: then it holds for these weights only."
 )
 
 
@@ -64,21 +64,21 @@ def differences(rows: Sequence[Row], reference: Row) -> list[dict[str, Any]]:
 
 
 def compared(row: Row) -> tuple[str, ...]:
-    """The measures by which rows of this row's world are compared."""
+    """The measures compared between rows of this row's world."""
     [first, *_] = row.runs.values()
     return COMPARED if "T_100" in first["houses"][0] else SHOWN_EXTERNAL
 
 
 def common_seeds(row: Row, reference: Row) -> list[int]:
-    """The seeds that both have."""
+    """The seeds of both rows."""
     both = [{seed for seed in side.runs if seed is not None} for side in (row, reference)]
     if None in row.runs or None in reference.runs:  # a planner is paired with every seed
         return sorted(both[0] | both[1])
     return sorted(both[0] & both[1])
 
 
-def without_twin(rows: Sequence[Row], reference: Row) -> list[str]:
-    """For each row, in words, the seeds that only it or only the reference has."""
+def unpaired_seeds(rows: Sequence[Row], reference: Row) -> list[str]:
+    """A line for each row with seeds that only it or only the reference has."""
     lines = []
     for row in rows:
         if None in row.runs or None in reference.runs:  # a planner is paired with every seed

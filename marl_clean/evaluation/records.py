@@ -79,7 +79,7 @@ def make_entry(
 
 
 def summarise(runs: Sequence[Sequence[House]]) -> dict[str, dict[str, Any]]:
-    """Mean, interquartile mean and interval of every measure, and the share of houses with one.
+    """Mean, interquartile mean and interval of every measure, and the share of houses with a value.
 
     `runs` are one policy's records over the same houses, once for each training seed. A time
     that was not reached counts as the house's `max_steps` in mean, iqm and interval; `reached`
@@ -101,7 +101,7 @@ def summarise(runs: Sequence[Sequence[House]]) -> dict[str, dict[str, Any]]:
 
 
 def means(houses: Sequence[House]) -> dict[str, float]:
-    """The means of every measure that has one, and the share of houses `finished`."""
+    """The means of every measure that has a value, and the share of houses `finished`."""
     result = {"finished": share_reached([houses], "T_100")}
     for measure in MEASURES:
         values = sample([houses], measure) if measure in houses[0] else np.array([np.nan])
@@ -111,7 +111,7 @@ def means(houses: Sequence[House]) -> dict[str, float]:
 
 
 def sample(runs: Sequence[Sequence[House]], measure: str) -> Float[np.ndarray, "run house"]:
-    """A measure's values as they enter means; NaN where there is none, as for a bound of 0."""
+    """A measure's values as they enter means; NaN for missing values, as for a bound of 0."""
     return as_sample([[counted(house, measure) for house in run] for run in runs])
 
 
@@ -132,7 +132,7 @@ def counted(house: House, measure: str) -> int | float | None:
 
 
 def write_entries(path: Path, entries: Sequence[Entry]) -> None:
-    """Write evaluation.json whole or not at all. Raises BadInput where the disk refuses."""
+    """Write evaluation.json whole or not at all. Raises BadInput where it cannot be written."""
     text = json.dumps(list(entries), indent=1, allow_nan=False) + "\n"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -144,8 +144,8 @@ def write_entries(path: Path, entries: Sequence[Entry]) -> None:
 def read_entries(path: Path) -> list[Entry]:
     """The entries of an evaluation.json, which need not be trusted.
 
-    Raises BadInput when it is not one, of another version, or lacks what tables and comparisons
-    need.
+    Raises BadInput when it is not an evaluation.json, has another version, or lacks what tables
+    and comparisons need.
     """
     try:
         entries = json.loads(path.read_text(encoding="utf-8"))
@@ -173,7 +173,7 @@ def _fault(entry: Entry) -> str | None:
     houses = entry["houses"]
     shown = SHOWN if "T_100" in houses[0] else SHOWN_EXTERNAL
     measured = {name for name in MEASURES if name in houses[0]} | {*shown}
-    needed = measured | {least for name in measured for least in _stands_in(name)}
+    needed = measured | {least for name in measured for least in _fallback_keys(name)}
     for house in houses:
         if lacking := sorted(needed - set(house)):
             return f"a house has no {lacking[0]}"
@@ -190,7 +190,7 @@ def _fault(entry: Entry) -> str | None:
     return None
 
 
-def _stands_in(measure: str) -> tuple[str, ...]:
+def _fallback_keys(measure: str) -> tuple[str, ...]:
     """The keys of a house that `counted` needs where a measure is null."""
     kind, _, name = measure.partition("_")
     return {

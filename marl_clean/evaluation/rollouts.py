@@ -1,4 +1,4 @@
-"""One episode in every env, greedily: the loop of all that measures or shows a policy."""
+"""One greedy episode in every env: the loop behind all measures and pictures of a policy."""
 
 from collections.abc import Callable, Iterator
 
@@ -19,25 +19,27 @@ Explore = Callable[[Int[Tensor, "env agent"]], Int[Tensor, "env agent"]]
 
 
 def first_frame(env: TransformedEnv, policy: nn.Module) -> TensorDictBase:
-    """Reset an env and return its first frame, in which the policy carries nothing yet."""
+    """Reset an env and return its first frame, with the policy's carried state at zero."""
     return begin_carrying(policy, env.reset())
 
 
-def act(policy: nn.Module, td: TensorDictBase, playing: Bool[Tensor, " env"]) -> TensorDictBase:
-    """Ask a network about the houses that still play only; the others get action 0.
+def act_in_running(
+    policy: nn.Module, td: TensorDictBase, running: Bool[Tensor, " env"]
+) -> TensorDictBase:
+    """Let a network act in the envs whose episode is running; the others get action 0.
 
     A planner reads its env and plans for all of them.
     """
     if isinstance(policy, Planner):
         return policy(td)
-    rows = playing.nonzero()[:, 0]
-    if len(rows) == len(playing):
+    rows = running.nonzero()[:, 0]
+    if len(rows) == len(running):
         return policy(td)
     some = policy(td[rows])
     for key in (ACTION, MESSAGE_EDGES, MESSAGE_BITS, *_carried(policy)):
         value = some.get(key, None)  # not every policy sends messages
         if value is not None:
-            whole = value.new_zeros((len(playing), *value.shape[1:]))
+            whole = value.new_zeros((len(running), *value.shape[1:]))
             td[key] = whole.index_copy_(0, rows, value)
     return td
 
@@ -47,31 +49,31 @@ def rollout_episodes(
     policy: nn.Module,
     first: TensorDictBase,
     *,
-    ask: Act | None = None,
+    act: Act | None = None,
     explore: Explore | None = None,
-    playing: Callable[[], Bool[Tensor, " env"]] | None = None,
+    running: Callable[[], Bool[Tensor, " env"]] | None = None,
     resets: bool = False,
 ) -> Iterator[TensorDictBase]:
-    """Yield every step from `first` on: the frame, the action, and under "next" what came of it.
+    """Yield every step from `first` on: the frame, the action, and the next frame under "next".
 
-    Steps share the env's state: read what is needed before asking for the next.
+    Steps share the env's state: read it before the next step is requested.
 
     Args:
         first: what `first_frame` returned.
-        ask: asks the policy for actions; without, `act` does.
+        act: calls the policy; None: `act_in_running`.
         explore: replaces some actions.
-        playing: which envs still play, asked before every step until none does; without, those
-            whose first episode has not ended.
-        resets: envs begin new episodes when one ends, for tasks that cannot be stepped beyond it.
+        running: returns which envs are still running, called before every step until none is;
+            None: those whose first episode has not ended.
+        resets: whether envs begin new episodes, for tasks that cannot be stepped beyond an end.
     """
     training = policy.training
     policy.eval()
     try:
         frame, ended = first, first[DONE].flatten()
-        while (still := ~ended if playing is None else playing()).any():
-            # Not around the yield: what asks for the steps is not to run in these modes.
+        while (still := ~ended if running is None else running()).any():
+            # Not around the yield: the caller's code must not run in these modes.
             with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-                frame = (ask or act)(policy, frame, still)
+                frame = (act or act_in_running)(policy, frame, still)
                 if explore is not None:
                     frame[ACTION] = explore(frame[ACTION])
                 frame = env.step(frame)
@@ -85,6 +87,6 @@ def rollout_episodes(
 
 
 def _carried(policy: nn.Module) -> list[NestedKey]:
-    """Where a policy writes what it carries to the next step."""
+    """The keys of what a policy carries to the next step."""
     assert isinstance(policy, TensorDictModuleBase)
     return [key for key in policy.out_keys if isinstance(key, tuple) and key[0] == "next"]

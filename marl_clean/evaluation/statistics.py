@@ -44,7 +44,7 @@ def bootstrap_means(
 ) -> Float[np.ndarray, " draw"]:
     """The mean of each resample: runs with replacement, then houses within each drawn run.
 
-    Of a single run only the houses are resampled.
+    With a single run only the houses are resampled.
     """
     runs, houses = values.shape
     drawn_runs = rng.integers(runs, size=(draws, runs))
@@ -74,7 +74,7 @@ def paired_difference(
 ) -> Estimate:
     """The mean of `values` minus `baseline`, house by house, with its interval.
 
-    A side of one run (a planner) is paired with every run of the other.
+    A single run on either side (a planner) is paired with every run of the other.
     Raises BadInput where the houses differ in number, or the runs cannot be paired.
     """
     return estimate(_differences(values, baseline), draws)
@@ -90,9 +90,10 @@ def paired_p(
 
     s_R: standard deviation of the R runs' mean differences, s_H: of the H houses'. Variance that
     both share is counted twice and the fewer degrees are taken, so that p is conservative. One run
-    is no sample of runs: then p is over houses alone, and holds for these weights only.
+    is not a sample of runs: then p is over houses alone, and holds for these weights only.
     Source: H. Clark, "The language-as-fixed-effect fallacy" (1973), whose min F' this t^2 is.
-    Not the share of bootstrap means beyond 0: of three runs that agree in sign every resample does.
+    The share of bootstrap means beyond 0 would not do: if three runs agree in sign, so does every
+    resample.
     """
     differences = _differences(values, baseline)
     errors, degrees = [], []
@@ -132,7 +133,7 @@ def _differences(
             f"a paired difference needs the same houses, not {houses} and {other_houses}"
         )
     if runs != other_runs and 1 not in (runs, other_runs):
-        raise BadInput(f"{runs} runs beside {other_runs}: give as many on both sides, or one")
+        raise BadInput(f"{runs} runs against {other_runs}: give as many on both sides, or one")
     return values - baseline
 
 
@@ -151,7 +152,7 @@ def _mean_of_runs(values: Float[np.ndarray, "run house"]) -> np.float64:
 def _row_means(
     values: Float[np.ndarray, "row house"],
 ) -> tuple[Float[np.ndarray, " row"], Float[np.ndarray, " row"]]:
-    """Each row's mean over what is not NaN (0 where nothing is), and 1.0 where there is one."""
+    """Each row's mean without NaN (0 for a row of NaN), and 1.0 for rows that have a value."""
     known = np.isfinite(values)
     count = known.sum(axis=1)
     total = np.where(known, values, 0.0).sum(axis=1)

@@ -15,7 +15,7 @@ NONE = "-"
 WIDTH = 140  # characters that the table needs
 CAPTION = (
     "Means over houses (of a plan: over starts), with 95 % intervals. A house not finished counts\n"
-    "as its max_steps. Learned policies act at random as often as evaluation.epsilon says.\n"
+    "as its max_steps. Learned policies take a share of evaluation.epsilon random actions.\n"
     f"x: the mean as a multiple of {YARDSTICK}'s. Coverage is that at max_steps."
 )
 
@@ -26,7 +26,7 @@ def output() -> Console:
 
 
 def make_table(entries: Sequence[Entry]) -> Table:
-    """Rows in the order given; each is compared with the yardstick on its own houses.
+    """Rows in the order of `entries`; each is compared with the yardstick on its own houses.
 
     The table of an external task holds returns alone.
     """
@@ -55,7 +55,7 @@ def make_table(entries: Sequence[Entry]) -> Table:
 
 
 def make_returns_table(entries: Sequence[Entry]) -> Table:
-    """Rows in the order given, for an external task, which has no cells."""
+    """Rows in the order of `entries`, for an external task, which has no cells."""
     first = entries[0]
     count = min(len(entry["houses"]) for entry in entries)
     table = Table(

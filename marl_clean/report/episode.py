@@ -35,7 +35,7 @@ def rollout(
 ) -> Iterator[TensorDictBase]:
     """The tensordicts of one episode of a single house, from the reset to the last step.
 
-    They share the env's state: read what is needed before asking for the next.
+    They share the env's state: read it before the next step is requested.
     """
     policy = policy_for(env)
     first = first_frame(env, policy)
@@ -45,7 +45,7 @@ def rollout(
 
 
 def scenes(env: TransformedEnv, policy_for: PolicyFor, epsilon: float = 0.0) -> Iterator[Scene]:
-    """Every moment of one episode, from step 0 to the end."""
+    """Every step of one episode, from step 0 to the end."""
     base = env.base_env
     for td in rollout(env, policy_for, epsilon):
         yield scene_of(base.state, base.rules, 0, td[ADJACENCY])

@@ -159,7 +159,9 @@ def test_seeds_that_cannot_be_paired_are_named_in_one_line(tmp_path, caplog) -> 
     [plan] = json.loads((tmp_path / "out_paired.json").read_text())
     assert plan["row"] == "comm=plan" and plan["seeds"] == [1]
     [line] = caplog.messages
-    assert line == "seeds without a twin beside comm=none: comm=plan: 0, 2; comm=tarmac: 0, 1, 3"
+    assert (
+        line == "seeds that comm=none cannot be paired with: comm=plan: 0, 2; comm=tarmac: 0, 1, 3"
+    )
     compare.main([*runs[:1], *runs[4:]], tmp_path / "out.json", QUIET, figure=False)
     assert json.loads((tmp_path / "out_paired.json").read_text()) == []
 

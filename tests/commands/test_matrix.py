@@ -95,7 +95,7 @@ def test_stacks_are_read_with_their_settings():
         (["{run}", "--channel", "lossi"], "channel=[lossi]: no such level; did you mean lossy?"),
         (["{run}", "--channel", "lossy(loss=2)"], "channel.lossy.loss: must be a number"),
         (["{run}", "--channel", "lossy(los=2)"], "channel.lossy.los: no such key"),
-        (["{silent}"], "its robots say nothing"),
+        (["{silent}"], "its robots send no messages"),
     ],
 )
 def test_wrong_input_is_one_line(runs, monkeypatch, capsys, arguments, said):

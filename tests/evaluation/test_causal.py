@@ -21,9 +21,9 @@ from marl_clean.evaluation.interventions import (
     Shuffle,
     Shut,
     Zero,
+    communicating,
     intervened,
     named,
-    talking,
 )
 from marl_clean.evaluation.listening import differences_of, listening
 from marl_clean.evaluation.records import make_entry
@@ -211,8 +211,8 @@ def test_names():
     ):
         named("zero,shutt")
     for comm in ("none", "zeroed"):
-        with pytest.raises(BadInput, match="say nothing"):
-            talking(policy_of(f"comm={comm}")[1], "x")
+        with pytest.raises(BadInput, match="send no messages"):
+            communicating(policy_of(f"comm={comm}")[1], "x")
 
 
 def test_wrong_questions_are_refused_in_one_line(tmp_path, monkeypatch, capsys):

@@ -93,7 +93,7 @@ def test_finished_houses_are_not_asked_about_and_are_not_changed_by_it(cfg, monk
     assert min(time or 150 for time in finished) < max(time or 150 for time in finished)
     assert policy.asked[0] == 6 and policy.asked[-1] < 6
     assert not any(policy.modes) and policy.training  # dropout is off, and on again
-    monkeypatch.setattr(rollouts, "act", lambda policy, td, playing: policy(td))
+    monkeypatch.setattr(rollouts, "act_in_running", lambda policy, td, running: policy(td))
     assert run(long, Spread(), epsilon=0.5) == found
 
 
@@ -159,12 +159,12 @@ def test_policies_are_asked_without_gradients_and_callers_keep_their_modes(cfg):
     env, modes = build.make_env(cfg), []
     policy = Spread()
 
-    def ask(policy, frame, playing):
+    def act(policy, frame, running):
         modes.append((torch.is_grad_enabled(), exploration_type()))
         return policy(frame)
 
     first = rollouts.first_frame(env, policy)
-    steps = rollouts.rollout_episodes(env, policy, first, ask=ask)
+    steps = rollouts.rollout_episodes(env, policy, first, act=act)
     with set_exploration_type(ExplorationType.RANDOM):
         next(steps)
         assert torch.is_grad_enabled() and exploration_type() == ExplorationType.RANDOM
