@@ -233,6 +233,7 @@ OF_TRAINING = [
     check_sizes,
     check_imitate,
     check_plans,
+    check_sides,
     check_teams,
     check_old_houses,
     check_run_folder,

@@ -9,6 +9,8 @@ from marl_clean.config.levels import SEVERAL, level_of, read_level, rooms
 from marl_clean.errors import BadInput
 from marl_clean.settings import Form
 
+UNSEEN = "crop"  # the default config's: what an external task is composed with, and never shows
+
 
 def check_fit(config: DictConfig) -> None:
     """Raises BadInput when two levels do not go together.
@@ -39,6 +41,10 @@ def check_fit(config: DictConfig) -> None:
         )
     if gives is not Form.SQUARES and config.agent.get("augment", False):
         raise BadInput(f"agent.augment=true: rotates squares, {source_form}; valid: false")
+    observation = level_of(targets["observation"])
+    if observation != UNSEEN and not takes(targets["env"], "houses"):
+        env = f"env={level_of(targets['env'])} shows robots what it likes"
+        raise BadInput(f"observation={observation}: {env}; valid: no observation at all")
     if config.agent.get("mask_walls", False) and not takes(targets["env"], "houses"):
         env = f"env={level_of(targets['env'])}"
         raise BadInput(

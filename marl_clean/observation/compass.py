@@ -20,7 +20,7 @@ from marl_clean.observation._compass import (
     fill,
 )
 from marl_clean.observation.base import Observation
-from marl_clean.settings import Form, Memory, OddInt, Probability
+from marl_clean.settings import Form, Memory, OddFromThree, Probability
 from marl_clean.world.distance import UNREACHABLE, first_steps, walking_distance
 from marl_clean.world.furniture import inside_house
 from marl_clean.world.noise import believed_position
@@ -79,7 +79,7 @@ class Compass(Observation):
 
     gives = Form.VECTOR
 
-    def __init__(self, view_size: OddInt = 7, position_noise: Probability = 0.0) -> None:
+    def __init__(self, view_size: OddFromThree = 7, position_noise: Probability = 0.0) -> None:
         super().__init__()
         self.view_size = view_size
         self.position_noise = position_noise
