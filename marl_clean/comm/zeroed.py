@@ -1,4 +1,4 @@
-"""The silent twin of `plan`: a control for what its parameters alone bring."""
+"""`plan` without its message: a control for the effect of its parameters alone."""
 
 from typing import Literal, final
 
