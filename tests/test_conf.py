@@ -143,7 +143,7 @@ def test_the_lower_floors_need_few_libraries(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", sorted((PACKAGE / "encoder").glob("*.py")), ids=name_of)
-def test_encoders_serve_in_anybodys_project(path: Path) -> None:
+def test_encoders_can_be_used_on_their_own(path: Path) -> None:
     rooms = {d.split(".")[1] for d in imports(path) if d.startswith("marl_clean.")}
     assert rooms <= {"encoder", "errors", "settings"}
 

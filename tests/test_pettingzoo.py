@@ -78,7 +78,7 @@ def test_a_whole_episode_repeats_under_its_seed_and_not_under_another() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("overrides", WORLDS.values(), ids=WORLDS)
-def test_it_plays_as_the_batched_env_does(overrides: list[str]) -> None:
+def test_it_steps_as_the_batched_env_does(overrides: list[str]) -> None:
     env = make(*overrides, adjacency=True)
     batched = make_env([*FEW, *overrides, "env.num_envs=1"])
     batched.set_seed(5)
@@ -137,7 +137,7 @@ def test_a_mask_closes_what_the_robots_own_map_holds_for_blocked(overrides: list
     assert closed
 
 
-def test_a_mask_is_all_ones_where_the_map_knows_of_no_way() -> None:
+def test_a_mask_is_all_ones_between_known_walls() -> None:
     env = make(action_masks=True)
     env.reset(seed=0)
     env.world.state.record.fill_(-1.0)
@@ -172,7 +172,7 @@ def test_the_state_is_the_union_of_all_maps_as_large_as_the_largest_house() -> N
         }
 
 
-def test_pictures_show_the_world_and_text_says_how_far_it_is(
+def test_pictures_show_the_world_and_text_shows_its_progress(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     env = make(render_mode="ansi")
@@ -192,14 +192,14 @@ def test_pictures_show_the_world_and_text_says_how_far_it_is(
     assert (pixels.render() != picture).any()
 
 
-def test_after_the_end_no_actions_give_nothing() -> None:
+def test_after_the_end_no_actions_return_empty_dicts() -> None:
     env = make("env.max_steps=1")
     env.reset()
     env.step(dict.fromkeys(env.agents, 0))
     assert env.agents == [] and env.step({}) == ({}, {}, {}, {}, {})
 
 
-def test_keywords_and_overrides_make_one_world() -> None:
+def test_keywords_and_overrides_make_the_same_world() -> None:
     by_keywords = parallel_env(FEW, n_agents=3, adjacency=True, env={"memory": "private"})
     by_overrides = make("env.n_agents=3", "env.memory=private", adjacency=True)
     assert by_keywords.possible_agents == ["robot_0", "robot_1", "robot_2"]
@@ -273,7 +273,7 @@ def started() -> ParallelCleaning:
     return env
 
 
-def test_without_pettingzoo_the_module_says_what_to_install(
+def test_without_pettingzoo_the_module_names_what_to_install(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, "pettingzoo", None)

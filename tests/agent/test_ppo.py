@@ -1,4 +1,4 @@
-"""What policies by PPO may have: a falling bonus, a head of zeros, drawn play, other critics."""
+"""Options of PPO: a falling entropy bonus, a head of zeros, sampled actions, other critics."""
 
 import pytest
 import torch
@@ -56,7 +56,7 @@ def test_without_an_end_the_bonus_stays() -> None:
     assert agent._loss.entropy_coeff.item() == pytest.approx(0.01)
 
 
-def test_a_head_of_zeros_makes_all_actions_as_likely_and_nothing_else() -> None:
+def test_a_head_of_zeros_makes_all_actions_equally_likely_and_nothing_else() -> None:
     zero, plain = (make_learner("ippo", "plan", zero_head=flag) for flag in (True, False))
     logits = zero.network(entries(zero.network, transitions(5))).out
     assert not logits.any()
@@ -76,7 +76,7 @@ def test_actions_are_drawn_by_softmax_from_seeds_alone() -> None:
     assert both.item() == pytest.approx(logits.softmax(0).square().sum().item(), abs=0.01)
 
 
-def test_drawn_play_is_the_same_again_and_another_than_the_likeliest() -> None:
+def test_sampled_actions_are_repeatable_and_differ_from_argmax() -> None:
     records = {}
     for play in ("argmax", "sampled"):
         config = compose_config([*SMALL, *SIZES, f"agent.play={play}", "agent.zero_head=true"])
@@ -106,12 +106,12 @@ def test_the_contract_with_other_critics(critic: str, memory: str) -> None:
     check_agent("ippo", precision="float32", critic=critic, critic_memory=memory)
 
 
-def test_the_contract_of_drawn_play() -> None:
+def test_the_contract_with_sampled_actions() -> None:
     check_agent("mappo", precision="float32", play="sampled", zero_head=True)
 
 
 @pytest.mark.parametrize("critic", ["local", "robots", "state"])
-def test_who_is_known_to_a_critic(critic: str) -> None:
+def test_which_robots_a_critic_depends_on(critic: str) -> None:
     valuing = make_learner("ippo", "plan", critic=critic).critic
     seen = transitions(4)[keys.OBSERVATION]
     states = torch.rand(2, 4, *STATE_SHAPE) < 0.5
@@ -165,7 +165,7 @@ def test_an_external_task_has_no_true_state() -> None:
         check_fit(spread)
 
 
-def test_any_weights_play_as_the_config_says(tmp_path) -> None:
+def test_any_weights_act_by_the_settings_of_the_config(tmp_path) -> None:
     config = compose_config([*SMALL, *SIZES, "name=mine"])
     agent = build.make_agent(config, build.make_env(config))
     folder = tmp_path / "mine"

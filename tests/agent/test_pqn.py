@@ -66,7 +66,7 @@ def returns(agent: Pqn, block: TensorDict) -> Tensor:
 @pytest.mark.parametrize("settings", CARRYING.values(), ids=CARRYING)
 def test_returns_are_those_of_a_plain_loop(settings: tuple[str, ...]) -> None:
     agent, block = played(*settings)
-    block["next", keys.TERMINATED][0] = block["next", keys.DONE][0]  # whatever they finished
+    block["next", keys.TERMINATED][0] = block["next", keys.DONE][0]  # as if they had finished
     block["next", keys.TERMINATED][1] = False
     learnt = agent.estimate(block)
     torch.testing.assert_close(learnt[keys.VALUE_TARGET].squeeze(-1), returns(agent, block))
@@ -104,5 +104,5 @@ def test_the_step_is_radams_and_both_schedules_fall() -> None:
         agent.anneal(progress)
         seen.append((agent.measures()["epsilon"], group["lr"]))
     expected = [(1.0, 1e-3), (0.51, 9.55e-4), (0.02, 5.5e-4), (0.02, 1e-4)]
-    for mine, theirs in zip(seen, expected, strict=True):
-        assert mine == pytest.approx(theirs)
+    for actual, wanted in zip(seen, expected, strict=True):
+        assert actual == pytest.approx(wanted)

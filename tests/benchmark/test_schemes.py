@@ -25,7 +25,7 @@ def test_costs_are_multiples_of_the_first() -> None:
     assert all(text in row for text in ("2,500", "15.00", "1.50", "3.00"))
 
 
-def test_growth_is_told_as_a_power_of_the_robots() -> None:
+def test_growth_is_a_power_of_the_number_of_robots() -> None:
     squared = {n: 0.5 * n**2 for n in schemes.TEAMS}
     assert exponent(squared) == pytest.approx(2.0)
     text = shown(table_of_growth({"plan": squared}))

@@ -34,7 +34,7 @@ def shown(costs: list[Training]) -> str:
     return console.file.getvalue()
 
 
-def test_presets_are_timed_in_turns_and_their_parts_add_up(monkeypatch) -> None:
+def test_presets_are_timed_interleaved_and_their_parts_add_up(monkeypatch) -> None:
     monkeypatch.setattr(training, "PRESETS", PRESETS)
     monkeypatch.setattr(training, "peak_memory", lambda overrides: 300 * MIB)
     costs = training.costs_of_training(rounds=2, slice_seconds=0.0)

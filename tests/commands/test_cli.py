@@ -283,7 +283,7 @@ def test_a_named_sweep_is_one_folder_of_jobs(place: Path, trained: list[str]) ->
 
 
 @pytest.mark.slow
-def test_a_preset_says_its_sweep_and_settings_win_key_by_key(
+def test_a_preset_has_a_sweep_and_settings_override_it_key_by_key(
     place: Path, trained: list[str]
 ) -> None:
     assert cli.main([*SWEEP, "+experiment=reward_sharing", "seed=7", "comm=none,plan"]) == 0

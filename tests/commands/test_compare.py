@@ -119,7 +119,7 @@ def test_differences_are_paired_by_seed_and_house_and_corrected(tmp_path) -> Non
     ]
     compare.main([*runs, runs[0]], tmp_path / "out.json", QUIET)
     paired = json.loads((tmp_path / "out_paired.json").read_text())
-    assert [(one["row"], one["reference"]) for one in paired] == [
+    assert [(difference["row"], difference["reference"]) for difference in paired] == [
         ("comm=plan", "comm=none"),
         ("comm=tarmac", "comm=none"),
     ]
@@ -244,7 +244,7 @@ def test_a_torn_measurement_is_left_out_in_one_line(text, pair, tmp_path, caplog
 @pytest.mark.parametrize(
     "text", [b"", b"- 1", b"\xff\xfea: 1", b"seed: 0\nhou", b"model:\n  _target_: os.system\n"]
 )
-def test_a_strangers_config_is_left_out_in_one_line(text, pair, tmp_path, caplog) -> None:
+def test_an_untrusted_config_is_left_out_in_one_line(text, pair, tmp_path, caplog) -> None:
     (tmp_path / "foreign" / "config.yaml").write_bytes(text)
     rows = compare.main(pair, None, QUIET, figure=False)
     assert [row["policy"] for row in rows] == ["good", "nearest_unknown"]
@@ -302,7 +302,7 @@ def test_a_silent_row_is_the_reference_wherever_it_stands(tmp_path) -> None:
     ]
     compare.main(runs, tmp_path / "out.json", QUIET, figure=False)
     paired = json.loads((tmp_path / "out_paired.json").read_text())
-    assert {one["reference"] for one in paired} == {"reward=team comm=none"}
+    assert {difference["reference"] for difference in paired} == {"reward=team comm=none"}
 
 
 def test_the_figure_is_drawn_in_multiples_of_the_planner(tmp_path, monkeypatch) -> None:
@@ -315,10 +315,10 @@ def test_the_figure_is_drawn_in_multiples_of_the_planner(tmp_path, monkeypatch) 
     figures = tmp_path / "runs/figures"
     assert {path.name for path in figures.iterdir()} == {"compare.png", "compare.svg"}
     text = (figures / "compare.svg").read_text()
-    for told in (
+    for title in (
         "T_90 / nearest_unknown's",
         "T_100 minus reference's",
         "comm=plan",
         "may be chance",
     ):
-        assert told in text
+        assert title in text

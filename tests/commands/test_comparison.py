@@ -40,7 +40,7 @@ def test_the_rows_of_a_comparison_are_different_runs(name, tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("setting", "said"),
+    ("setting", "message"),
     [
         ("name=mine", "^name: figure approaches trains runs of its own"),
         ("experiment=quick", "^experiment: "),
@@ -48,15 +48,15 @@ def test_the_rows_of_a_comparison_are_different_runs(name, tmp_path, monkeypatch
         ("budget=huge", "valid: full, small, smoke"),
     ],
 )
-def test_a_wrong_setting_trains_nothing(setting, said, tmp_path, monkeypatch):
+def test_a_wrong_setting_trains_nothing(setting, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(BadInput, match=said):
+    with pytest.raises(BadInput, match=message):
         comparison.main("approaches", [setting])
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
-def test_a_comparison_trains_what_it_lacks_and_says_its_budget(tmp_path, monkeypatch):
+def test_a_comparison_trains_what_it_lacks_and_names_its_budget(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(train, "draw", lambda config, folder: None)  # a run's own pictures
     console = Console(file=io.StringIO(), width=200)
@@ -69,6 +69,6 @@ def test_a_comparison_trains_what_it_lacks_and_says_its_budget(tmp_path, monkeyp
     assert png.read_bytes()[1:4] == b"PNG"
 
     trained = []
-    monkeypatch.setattr(train, "measure_all", lambda *given: trained.append(given))
+    monkeypatch.setattr(train, "measure_all", lambda *arguments: trained.append(arguments))
     assert comparison.main("sensors", [*TINY, "seed=0,1"], console) == [svg, png]
     assert trained == []

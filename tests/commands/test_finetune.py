@@ -100,12 +100,12 @@ def test_before_and_after_at_home_and_in_the_old_houses(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["train", *AT_HOME, "name=after"]) == 0
-    said = capsys.readouterr().out
-    assert "2 houses (home.txt)" in said and "2 houses (test)" in said
+    output = capsys.readouterr().out
+    assert "2 houses (home.txt)" in output and "2 houses (test)" in output
     entries = read_entries(Path("runs/after/evaluation.json"))
     names = ["after", "before before", "random", "nearest_unknown", "nearest_unknown+greedy"]
-    found = [(entry["house_set"], entry["policy"]) for entry in entries]
-    assert found == [(houses, name) for houses in ("home.txt", "test") for name in names]
+    measured_in = [(entry["house_set"], entry["policy"]) for entry in entries]
+    assert measured_in == [(houses, name) for houses in ("home.txt", "test") for name in names]
     assert [entry["epsilon"] for entry in entries[:3]] == [0.02, 0.02, 0.0]
     old = read_entries(Path("runs/before/evaluation.json"))
     assert entries[6]["houses"] == old[0]["houses"]  # the same weights in the same houses
@@ -176,7 +176,7 @@ class Killed(BaseException):
 
 
 @pytest.mark.usefixtures("unmeasured")
-def test_a_killed_run_goes_on_from_its_state_and_not_from_the_start(
+def test_a_killed_run_resumes_from_its_state_and_not_from_the_start(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = ["train", *AT_HOME, "trainer.checkpoint_interval_frames=64"]

@@ -64,7 +64,7 @@ def test_a_row_a_training_channel_and_a_column_a_test_channel(runs, monkeypatch,
 
 
 @pytest.mark.slow
-def test_channels_to_measure_over_can_be_given(runs, monkeypatch):
+def test_channels_to_measure_over_can_be_chosen(runs, monkeypatch):
     monkeypatch.chdir(runs)
     folder = str(next((runs / "runs" / "x").iterdir()))
     asked = ["--channel", "lossy(loss=1.0)", "--channel", "quantised(bits=2,limit=1.5),noisy"]
@@ -89,7 +89,7 @@ def test_stacks_are_read_with_their_settings():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["nowhere"], "no run among nowhere"),
         (["{run}", "--channel", "lossi"], "channel=[lossi]: no such level; did you mean lossy?"),
@@ -98,8 +98,8 @@ def test_stacks_are_read_with_their_settings():
         (["{silent}"], "its robots send no messages"),
     ],
 )
-def test_wrong_input_is_one_line(runs, monkeypatch, capsys, arguments, said):
+def test_wrong_input_is_one_line(runs, monkeypatch, capsys, arguments, message):
     monkeypatch.chdir(runs)
     known = {"run": str(next((runs / "runs" / "x").iterdir())), "silent": "silent"}
     assert cli.main(["matrix", *(text.format(**known) for text in arguments)]) == 2
-    assert said in capsys.readouterr().err.splitlines()[-1]
+    assert message in capsys.readouterr().err.splitlines()[-1]

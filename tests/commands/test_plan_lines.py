@@ -67,7 +67,7 @@ COMMANDS: dict[str, Callable[[DictConfig], object]] = {
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_says_once_what_became_of_the_plan(
+def test_a_command_reports_once_what_is_kept_of_the_plan(
     command: str, plan: list[str], capfd: pytest.CaptureFixture[str]
 ) -> None:
     COMMANDS[command](compose_config(plan))
@@ -76,22 +76,22 @@ def test_a_command_says_once_what_became_of_the_plan(
 
 
 @pytest.mark.parametrize("command", ["evaluate", "watch"])
-def test_of_generated_houses_nothing_is_said(
+def test_generated_houses_need_no_line(
     command: str, plan: list[str], capfd: pytest.CaptureFixture[str]
 ) -> None:
     COMMANDS[command](compose_config(["house=open", "house.rows=[2,2]", "evaluation.houses=1"]))
     assert capfd.readouterr().err == ""
 
 
-def test_training_says_it_of_plans_it_is_measured_on_each_once(
+def test_training_reports_the_plans_it_is_measured_on_once_each(
     plan: list[str], capfd: pytest.CaptureFixture[str]
 ) -> None:
     trained(compose_config([*plan, "evaluation.plans=[apartment,flat.yaml]"]))
-    said = capfd.readouterr().err.splitlines()
-    assert [line.partition(":")[0] for line in said] == ["flat.yaml", "apartment"]
+    lines = capfd.readouterr().err.splitlines()
+    assert [line.partition(":")[0] for line in lines] == ["flat.yaml", "apartment"]
 
 
-def test_the_limit_in_the_line_is_the_one_that_is_played(plan: list[str]) -> None:
+def test_the_limit_in_the_line_is_that_of_the_episodes(plan: list[str]) -> None:
     (entry,) = evaluate.main(compose_config(plan), Path("out.json"), quiet())
     assert {house["max_steps"] for house in entry["houses"]} == {LIMIT}
     fixed = compose_config([*plan, "env.max_steps=9"])
@@ -99,7 +99,7 @@ def test_the_limit_in_the_line_is_the_one_that_is_played(plan: list[str]) -> Non
     assert {house["max_steps"] for house in entry["houses"]} == {9}
 
 
-def test_what_is_measured_is_written_before_the_next_policy_plays(tmp_path: Path) -> None:
+def test_an_entry_is_written_before_the_next_policy_is_measured(tmp_path: Path) -> None:
     """An interruption in the third policy leaves the two before it in the file."""
     settings = ["house=open", "house.rows=[3,3]", "house.cols=[3,3]", "evaluation.houses=2"]
     cfg = compose_for_policy(["checkpoint=approach_2_frontier", *settings])
@@ -111,7 +111,9 @@ def test_what_is_measured_is_written_before_the_next_policy_plays(tmp_path: Path
             raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(evaluate.EvaluationProgress, "show", lambda _, *told: interrupt(*told))
+        patch.setattr(
+            evaluate.EvaluationProgress, "show", lambda _, *arguments: interrupt(*arguments)
+        )
         evaluate.main(cfg, out, quiet(), interventions=["zero"])
     own, changed = json.loads(out.read_text())
     assert own["policy"] == cfg.name and "listening" in own
@@ -132,7 +134,7 @@ def test_progress_rises_to_one_whatever_the_memory_allows(monkeypatch: pytest.Mo
     assert shares == sorted(shares) and 0 < shares[0] < 0.4 and shares[-1] == 1
 
 
-def test_without_a_terminal_a_line_now_and_then_tells_how_long(
+def test_without_a_terminal_lines_show_the_time_left(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = iter([0.0, 40.0, 50.0, 90.0])

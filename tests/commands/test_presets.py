@@ -111,11 +111,11 @@ def test_a_preset_trains_and_measures(
 
 @pytest.mark.parametrize("path", ALL, ids=lambda path: f"{path.parent.name}={path.stem}")
 def test_what_is_read_in_a_preset_is_what_hydra_composes(path: Path) -> None:
-    given = [f"{path.parent.name}={path.stem}"]
+    override = [f"{path.parent.name}={path.stem}"]
     ours = compose.apply(
-        OmegaConf.to_container(DEFAULTS) | {"name": None}, compose.parse_overrides(given)
+        OmegaConf.to_container(DEFAULTS) | {"name": None}, compose.parse_overrides(override)
     )
-    theirs = OmegaConf.to_container(compose_config([*given, "name=x"]))
+    theirs = OmegaConf.to_container(compose_config([*override, "name=x"]))
     assert ours | {"name": "x"} == theirs
     levels, _ = read_preset(path)
     assert set(levels) <= set(rooms())

@@ -20,16 +20,16 @@ from marl_clean.errors import BadInput
 
 def keys_and_types(config: DictConfig) -> dict[str, typing.Any]:
     """Every key a user can set, with the type its constructor declares."""
-    found = dict(typing.get_type_hints(settings.Root, include_extras=True))
+    types = dict(typing.get_type_hints(settings.Root, include_extras=True))
     evaluation = typing.get_type_hints(settings.Evaluation, include_extras=True)
-    found |= {f"evaluation.{name}": annotation for name, annotation in evaluation.items()}
+    types |= {f"evaluation.{name}": annotation for name, annotation in evaluation.items()}
     sections = {room: config[room] for room in levels.rooms() if room not in levels.SEVERAL}
     for room in levels.SEVERAL:
         sections |= {f"{room}.{name}": section for name, section in config[room].items()}
     for name, section in sections.items():
         accepted = class_source.parameters(section["_target_"])
-        found |= {f"{name}.{key}": accepted[key].annotation for key in section if key in accepted}
-    return found
+        types |= {f"{name}.{key}": accepted[key].annotation for key in section if key in accepted}
+    return types
 
 
 def wrong_value(annotation: typing.Any) -> str:
@@ -119,7 +119,7 @@ def assert_names_its_key(message: str, override: str) -> None:
 
 
 @pytest.mark.parametrize("override", MISSPELT)
-def test_a_misspelt_key_is_met_with_the_right_one(override: str) -> None:
+def test_a_misspelt_key_is_refused_with_the_nearest_one(override: str) -> None:
     key = override.partition("=")[0]
     assert refusal(override).startswith(f"{key}: no such key; did you mean ")
 
@@ -152,7 +152,7 @@ def test_what_is_no_setting_is_refused_in_plain_words(override: str, words: str)
     assert words in refusal(override)
 
 
-def test_of_two_problems_the_one_that_was_asked_for_is_named() -> None:
+def test_of_two_problems_that_of_an_overridden_key_is_named() -> None:
     # topology.view_size follows observation.view_size, so both are wrong
     assert refusal("observation.view_size=wrong").startswith("observation.view_size")
 
@@ -163,7 +163,7 @@ def test_a_preset_may_have_a_plus_or_not(override: str) -> None:
     assert compose_config([override.format(preset)]).name.startswith(f"{preset}-")
 
 
-def test_one_text_is_no_list_of_settings() -> None:
+def test_a_string_is_not_a_list_of_settings() -> None:
     with pytest.raises(BadInput, match=r"^'env.n_agents=3' is one text; give a list of settings"):
         compose_config("env.n_agents=3")
 
@@ -269,7 +269,7 @@ def test_a_checkpoint_is_named_rightly(run: Path, overrides: list[str], words: s
         ("seed: " + "1" * 2_000_000, "larger than 1 MiB"),
     ],
 )
-def test_a_strangers_config_is_refused(run: Path, text: str, words: str) -> None:
+def test_an_untrusted_config_is_refused(run: Path, text: str, words: str) -> None:
     file = run / "config.yaml"
     plain = OmegaConf.to_container(OmegaConf.load(file))
     assert isinstance(plain, dict)
@@ -294,7 +294,7 @@ def test_a_later_key_of_a_level_counts_where_it_has_a_value() -> None:
 
 
 @pytest.mark.parametrize("value", ["[]", "[[]]", "[[1,2]]", "[[1,2,256]]", "[[1,2,-3]]"])
-def test_what_is_no_colour_is_told_what_one_is(value: str) -> None:
+def test_an_invalid_colour_is_refused_with_a_valid_example(value: str) -> None:
     plan = ["house=floorplan", "house.path=apartment"]
     with pytest.raises(BadInput, match=r"house.free_colours: must be colours \[red, green, blue\]"):
         compose_config([*plan, f"house.free_colours={value}"])

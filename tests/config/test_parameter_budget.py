@@ -35,7 +35,7 @@ def test_every_scheme_fills_the_budget_and_does_not_exceed_it(comm: str) -> None
 
 
 @pytest.mark.parametrize("agent", rooms()["agent"])
-def test_every_learner_plays_with_a_network_of_the_budget(agent: str) -> None:
+def test_every_learner_has_a_network_of_the_budget(agent: str) -> None:
     fits = ["comm=none", "reward=team"]
     loop = "on_policy" if agent in ("ippo", "mappo", "pqn") else "off_policy"
     built = learner(f"agent={agent}", f"trainer={loop}", *fits, f"parameter_budget={BUDGET}")

@@ -45,7 +45,7 @@ def test_a_run_of_ones_own_comes_first(elsewhere: Path) -> None:
     assert find_run("longer_horizon") == Path("runs/longer_horizon")
 
 
-def test_a_near_miss_is_told_the_name() -> None:
+def test_a_misspelt_run_is_refused_with_the_nearest_name() -> None:
     with pytest.raises(BadInput, match="did you mean approach_2_frontier"):
         find_run("docs/approach_2_frontier")
 

@@ -43,13 +43,13 @@ def test_files_that_are_linked_exist(text: Path) -> None:
 
 
 def test_its_table_of_rooms_is_the_listing() -> None:
-    told = {
+    listed = {
         row[0].strip("`"): set(re.findall(r"`(\w+)`", row[1])) for row in rows(section("Rooms"))
     }
-    told.pop("room")
+    listed.pop("room")
     levels = {room: set(names) for room, names in rooms().items()}
-    assert told == {room: levels[room] for room in told}
-    assert set(levels) - set(told) == {"trainer", "logger"}
+    assert listed == {room: levels[room] for room in listed}
+    assert set(levels) - set(listed) == {"trainer", "logger"}
 
 
 def test_its_results_are_those_of_the_page_of_results() -> None:

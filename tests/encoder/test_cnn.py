@@ -36,7 +36,7 @@ def doubled(observation: Tensor) -> Tensor:
     return torch.cat([code > 0, code <= 0, observation[..., 1:, :, :]], -3)
 
 
-def test_planes_are_what_the_observation_says():
+def test_planes_are_those_of_the_observation():
     observation = squares(4, 2, 2, 15, 15)
     encoder = make(shape=(2, 15, 15))
     assert encoder.convolutions[0].in_channels == 3

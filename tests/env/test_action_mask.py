@@ -1,4 +1,4 @@
-"""The mask of known walls: equal to the plain reference, by both ways of stepping."""
+"""The mask of known walls: equal to the plain reference, by both step methods."""
 
 import pytest
 import torch
@@ -35,7 +35,7 @@ def config(*settings: str):
 @pytest.mark.slow
 @given(case=cases())
 @hypothesis_settings(max_examples=60, deadline=None)
-def test_every_mask_of_random_play_is_the_reference(case: Case) -> None:
+def test_every_mask_of_random_episodes_is_the_reference(case: Case) -> None:
     env = env_of([case])
     env.append_transform(KnownWalls())
     world, tensordict = case.world(), start(env, [case])
@@ -82,7 +82,7 @@ def test_the_spec_holds_and_steps_and_resets_are_torchrls(
     assert closed and any(0 < count < 9 for count in begun)
 
 
-def test_a_robot_that_knows_of_no_way_may_take_any() -> None:
+def test_a_robot_between_known_walls_has_no_action_masked() -> None:
     env = build.make_env(config())
     env.reset()
     env.base_env.state.record.fill_(-1.0)

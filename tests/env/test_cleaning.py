@@ -59,7 +59,7 @@ def test_specs_hold(overrides: list[str]) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("overrides", READINGS, ids=" ".join)
-def test_one_seed_gives_one_play_and_another_seed_another(overrides: list[str]) -> None:
+def test_equal_seeds_give_equal_episodes_and_other_seeds_others(overrides: list[str]) -> None:
     """Over 500 steps with many resets, to the last bit."""
     actions = actions_for(500, 6)
     first, again, other = (
@@ -114,7 +114,7 @@ def test_a_partial_reset_touches_no_other_world_and_no_recorded_step() -> None:
 
 
 @pytest.mark.parametrize("overrides", READINGS, ids=" ".join)
-def test_a_loaded_state_plays_on_exactly(overrides: list[str]) -> None:
+def test_a_loaded_state_resumes_exactly(overrides: list[str]) -> None:
     actions = actions_for(60, 6)
     env = small_env(*overrides, "env.stuck_after=10")
     steps = play(env, actions[:30])
@@ -160,7 +160,7 @@ def test_default_limit_is_of_each_houses_own_size() -> None:
     assert len(set(env.state.max_steps.tolist())) > 3
 
 
-def test_fixed_order_plays_house_i_in_env_i_and_random_order_draws() -> None:
+def test_fixed_order_puts_house_i_in_env_i_and_random_order_draws() -> None:
     fixed = CleaningEnv(HOUSES, n_agents=3, num_envs=40, house_order=HouseOrder.FIXED)
     assert fixed.state.house.tolist() == list(range(40))
     drawn = CleaningEnv(HOUSES, n_agents=3, num_envs=400)
@@ -198,7 +198,7 @@ def test_touch_knows_the_four_neighbours_at_once() -> None:
 
 
 @pytest.mark.slow
-def test_a_compiled_env_plays_what_a_plain_one_plays_and_keeps_its_maps(run_script):
+def test_a_compiled_env_steps_as_a_plain_one_and_keeps_its_maps(run_script):
     run_script("tests.env.compiled")
 
 

@@ -1,4 +1,4 @@
-"""External tasks under our learners: the same play as without us, and what a run leaves."""
+"""External tasks under our learners: the same episodes as without us, and what a run leaves."""
 
 import csv
 import json
@@ -24,7 +24,7 @@ from marl_clean.config import schema
 from marl_clean.config.compose import compose_config
 from marl_clean.env import pettingzoo
 from marl_clean.errors import BadInput
-from marl_clean.evaluation.episodes import play
+from marl_clean.evaluation.episodes import run_episodes
 
 SPREAD = ["experiment=spread", "env.num_envs=3"]
 SHORT = [
@@ -94,7 +94,7 @@ def test_it_is_an_env_by_torchrls_rules() -> None:
     assert env.observation_spec[keys.OBSERVATION].shape == (3, 3, 18)
 
 
-def test_it_plays_as_the_bare_tasks_do() -> None:
+def test_it_steps_as_the_bare_tasks_do() -> None:
     env = make_env([*SPREAD, "reward=individual", "env.options={N: 2, max_cycles: 7}"])
     env.set_seed(11)
     td = env.reset()
@@ -106,17 +106,17 @@ def test_it_plays_as_the_bare_tasks_do() -> None:
     draw = torch.Generator().manual_seed(0)
     for step in range(20):  # nearly three episodes
         for row, copy in enumerate(bare):
-            told = td[keys.OBSERVATION][row].numpy()
-            assert (told == np.stack([seen[row][agent] for agent in copy.possible_agents])).all()
+            actual = td[keys.OBSERVATION][row].numpy()
+            assert (actual == np.stack([seen[row][agent] for agent in copy.possible_agents])).all()
         td[keys.ACTION] = torch.randint(5, (3, 2), generator=draw)
         before = td[keys.ACTION].clone()
         stepped, td = env.step_and_maybe_reset(td)
         for row, copy in enumerate(bare):
             actions = dict(zip(copy.possible_agents, before[row].tolist(), strict=True))
             seen[row], reward, _, truncated, _ = copy.step(actions)
-            told = stepped["next", keys.REWARD][row, :, 0]
+            actual = stepped["next", keys.REWARD][row, :, 0]
             assert (
-                told.tolist() == torch.tensor(list(reward.values()), dtype=torch.float32).tolist()
+                actual.tolist() == torch.tensor(list(reward.values()), dtype=torch.float32).tolist()
             )
             ends = bool(stepped["next", keys.DONE][row])
             assert ends == any(truncated.values()) == (step % 7 == 6)
@@ -148,7 +148,7 @@ def test_agents_are_paid_in_the_tasks_order(copies: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("action", [-1, 5])
-def test_an_action_that_there_is_not_is_one_line(copies: dict[str, Any], action: int) -> None:
+def test_an_invalid_action_is_one_line(copies: dict[str, Any], action: int) -> None:
     env = make_env(SPREAD)
     td = env.reset()
     td[keys.ACTION] = torch.tensor([[0, 1], [2, action], [4, 4]])
@@ -174,7 +174,7 @@ def test_the_seed_decides_all() -> None:
 
 
 @pytest.mark.parametrize(("topology", "live"), [("full", True), ("none", False)])
-def test_who_talks_is_fixed_and_the_others_come_in_order(topology: str, live: bool) -> None:
+def test_contact_is_fixed_and_the_others_are_ranked_in_order(topology: str, live: bool) -> None:
     td = make_env([*SPREAD, f"topology={topology}"]).rollout(2)
     others = ~torch.eye(3, dtype=torch.bool)
     for moment in (td, td["next"]):
@@ -246,15 +246,15 @@ def test_a_return_is_the_sum_over_one_episode_and_all_agents(copies: dict[str, A
         def forward(self, td: Any) -> Any:
             return td.set(keys.ACTION, torch.full((3, 2), 3))
 
-    records = play(env, Threes(), 0.0, seed=7)
+    records = run_episodes(env, Threes(), 0.0, seed=7)
     assert [record["steps"] for record in records] == [3, 4, 5]
     assert [record["return"] for record in records] == [16 * 3, 16 * 4, 16 * 5]
     env.set_seed(7)
     env.reset()
     assert [record["seed"] for record in records] == env.base_env.episode_seeds.tolist()
-    noisy = [play(env, Threes(), 0.5, seed=7) for _ in range(2)]
+    noisy = [run_episodes(env, Threes(), 0.5, seed=7) for _ in range(2)]
     assert noisy[0] == noisy[1] != records
-    assert play(env, None, 1.0, seed=7) == play(env, Threes(), 1.0, seed=7)
+    assert run_episodes(env, None, 1.0, seed=7) == run_episodes(env, Threes(), 1.0, seed=7)
 
 
 def train(folder: Path, *overrides: str) -> list[dict[str, Any]]:
@@ -287,7 +287,7 @@ def test_a_run_trains_measures_and_draws(tmp_path: Path, comm: str) -> None:
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_goes_on_with_new_episodes(
+def test_a_resumed_run_begins_new_episodes(
     tmp_path: Path,
     copies: dict[str, Any],
     monkeypatch: pytest.MonkeyPatch,
@@ -336,7 +336,7 @@ def test_an_interrupted_run_goes_on_with_new_episodes(
         (["train", "env.n_agents=4"], "env.n_agents: no such key"),
     ],
 )
-def test_commands_say_in_one_line_what_cannot_be(
+def test_commands_refuse_in_one_line(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

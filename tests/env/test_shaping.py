@@ -1,4 +1,4 @@
-"""Reward shaping: it telescopes, only pay holds it, and the learner's discount counts."""
+"""Reward shaping: it telescopes, only the payment includes it, with the learner's discount."""
 
 import pytest
 import torch
@@ -33,8 +33,8 @@ def played(settings: list[str], steps: int = 300):
     generator = torch.Generator().manual_seed(1)
     for _ in range(steps):
         frame[keys.ACTION] = torch.randint(4, (9, 2), generator=generator)
-        taken, frame = env.step_and_maybe_reset(frame)
-        frames.append(taken.clone())
+        stepped, frame = env.step_and_maybe_reset(frame)
+        frames.append(stepped.clone())
     return torch.stack(frames, 1)
 
 
@@ -62,7 +62,7 @@ def test_the_discounted_sum_of_an_episode_depends_on_its_ends_alone(memory: str)
     assert min(endings.values()) > 5, endings
 
 
-def test_only_pay_holds_it() -> None:
+def test_only_the_payment_includes_it() -> None:
     shaped, plain = played(SHAPED), played(SMALL)
     assert keys.INFO_SHAPING not in plain["next"].keys(True, True)
     assert torch.equal(shaped["next", keys.OWN_REWARD], plain["next", keys.OWN_REWARD])
@@ -94,7 +94,7 @@ def test_the_potential_of_a_lane(free: list[int], known: list[float], expected: 
     assert potential(env.base_env.state, env.base_env.rules).tolist() == [[[expected]]]
 
 
-def test_evaluation_spares_it() -> None:
+def test_evaluation_does_not_compute_it() -> None:
     cfg = compose_config(SHAPED)
     env = held_out_env(cfg, build.held_out_houses(cfg, "validation", 3), "validation", 3)
     assert keys.POTENTIAL not in env.observation_spec.keys(True, True)
@@ -107,7 +107,7 @@ def test_a_training_shapes_by_the_learners_present_discount(tmp_path) -> None:
     cfg = compose_config([*SHAPED, *settings, *rising])
     env = build.make_env(cfg)
     agent = build.make_agent(cfg, env)
-    shaping = next(one for one in env.transforms if isinstance(one, Shaping))
+    shaping = next(t for t in env.transforms if isinstance(t, Shaping))
     assert shaping.gamma == GAMMA
     loop = OffPolicyLoop(
         instantiate(cfg.trainer), env, agent, lambda policy: {}, [], Checkpoints(tmp_path)

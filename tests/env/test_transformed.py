@@ -112,8 +112,8 @@ def test_what_was_recorded_does_not_change_later() -> None:
         assert_same(frame, copy)
 
 
-def test_with_other_transforms_torchrls_method_plays(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(TransformedWorlds, "begin_anew", lambda *given: pytest.fail("direct"))
+def test_with_other_transforms_torchrls_method_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(TransformedWorlds, "begin_anew", lambda *arguments: pytest.fail("direct"))
     env, _ = make(SMALL)
     env.append_transform(StepCounter())
     played = env.rollout(40, break_when_any_done=False)

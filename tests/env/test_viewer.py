@@ -54,7 +54,7 @@ def test_every_cell_of_both_panels_has_its_own_colour(rows, cols, cell):
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(3, 7), (7, 3)])
-def test_furniture_clean_floor_and_age_are_told_apart(rows, cols):
+def test_furniture_clean_floor_and_age_have_different_colours(rows, cols):
     scene = scene_of(rows, cols)
     scene.free[0, 1] = False
     scene.furniture[0, 1] = 2
@@ -88,11 +88,11 @@ def test_robots_and_contacts_stand_in_both_panels(rows, cols):
 
 
 def test_the_same_scene_gives_the_same_pixels_and_size_never_depends_on_the_moment():
-    one = draw(scene_of(3, 7), 12)
+    early = draw(scene_of(3, 7), 12)
     later = draw(scene_of(3, 7, step=12345, coverage=1.0), 12)
-    assert np.array_equal(one, draw(scene_of(3, 7), 12))
-    assert one.shape == later.shape == (*_size(3, 7, 12), 3)
-    assert one.dtype == np.uint8
+    assert np.array_equal(early, draw(scene_of(3, 7), 12))
+    assert early.shape == later.shape == (*_size(3, 7, 12), 3)
+    assert early.dtype == np.uint8
 
 
 def _size(rows: int, cols: int, cell: int) -> tuple[int, int]:

@@ -83,12 +83,12 @@ def test_two_robots_swap_and_one_alone_hears_itself():
 def test_frozen_messages_are_those_of_the_first_step_in_all_rounds():
     freeze = Freeze((2, 2))
     state = torch.zeros(4, 3, 5)
-    said = [(MESSAGE, -MESSAGE), (MESSAGE + 7, MESSAGE - 3), (MESSAGE * 2, MESSAGE * 3)]
-    for rounds in said:
+    messages = [(MESSAGE, -MESSAGE), (MESSAGE + 7, MESSAGE - 3), (MESSAGE * 2, MESSAGE * 3)]
+    for rounds in messages:
         moment = step(state=state)
         for round_index, message in enumerate(rounds):
             heard, _ = freeze.carry(message, EDGES, round_index, moment)
-            assert torch.equal(heard, said[0][round_index])
+            assert torch.equal(heard, messages[0][round_index])
         state = freeze.state_after(moment, rounds, [EDGES, EDGES])
 
 
@@ -100,7 +100,7 @@ def test_noise_is_as_large_as_messages_vary():
     assert (heard - message)[..., 1].std().item() == pytest.approx(10, rel=0.05)
 
 
-def test_no_noise_is_heard_of_who_chose_silence():
+def test_no_noise_is_heard_from_silent_robots():
     message = torch.randn(50, 3, 4)
     message[:, 1] = 0
     edges = torch.zeros(50, 3, 3, dtype=torch.bool)
@@ -128,11 +128,11 @@ def played(cfg, policy, count: int = 5):
 @pytest.mark.slow
 @pytest.mark.parametrize("comm", ["plan", "commnet", "tarmac", "ic3net", "dial"])
 @pytest.mark.parametrize("name", INTERVENTIONS)
-def test_every_intervention_plays_with_every_scheme(name, comm):
+def test_every_intervention_works_with_every_scheme(name, comm):
     cfg, policy = policy_of(f"comm={comm}")
-    found = played(cfg, intervened(policy, INTERVENTIONS[name]), count=3)
-    assert all(house["bits"] is not None for house in found)
-    assert played(cfg, intervened(policy, INTERVENTIONS[name]), count=3) == found
+    result = played(cfg, intervened(policy, INTERVENTIONS[name]), count=3)
+    assert all(house["bits"] is not None for house in result)
+    assert played(cfg, intervened(policy, INTERVENTIONS[name]), count=3) == result
 
 
 def test_shut_is_no_contact_and_open_is_full_contact():
@@ -164,43 +164,43 @@ def test_change_is_the_paired_difference():
         ]
         return make_entry(name, "test", "h", 0.0, 2, houses)
 
-    found = change(entry("a | zero", [10, None, 30]), entry("a", [8, 88, 28]))
-    assert found["T_90"] == {"mean": 2.0, "ci95": [2.0, 2.0]}
+    result = change(entry("a | zero", [10, None, 30]), entry("a", [8, 88, 28]))
+    assert result["T_90"] == {"mean": 2.0, "ci95": [2.0, 2.0]}
 
 
 def test_deaf_robots_do_not_listen():
     value = torch.randn(6, 2, 4)
-    found = differences_of(value, value.clone(), [value.clone() for _ in range(4)])
-    assert all(not values.any() for values in found.values())
+    result = differences_of(value, value.clone(), [value.clone() for _ in range(4)])
+    assert all(not values.any() for values in result.values())
 
 
 def test_listening_by_hand():
     value = torch.tensor([[[0.0, 1.0, 2.0, 4.0]]])
     zeros = torch.tensor([[[4.0, 1.0, 2.0, 0.0]]])
-    found = differences_of(value, zeros, [value, zeros])
-    assert found["zero_moved"].item() == 2.0 / 4.0 and found["zero_switched"].item() == 1
+    result = differences_of(value, zeros, [value, zeros])
+    assert result["zero_moved"].item() == 2.0 / 4.0 and result["zero_switched"].item() == 1
     weights = [math.exp(v) for v in (0, 1, 2, 4)]
     chance = [w / sum(weights) for w in weights]
     expected = 4 * (chance[3] - chance[0])  # the sum of p (log p - log p')
-    assert found["zero_kl"].item() == pytest.approx(expected, abs=1e-5)
-    assert found["shuffle_moved"].item() == 0
+    assert result["zero_kl"].item() == pytest.approx(expected, abs=1e-5)
+    assert result["shuffle_moved"].item() == 0
 
 
-def test_cic_of_a_robot_that_does_as_it_is_told_is_the_entropy_of_what_is_said():
-    told = [torch.tensor([[[100.0 * (a == k) for a in range(4)]]]) for k in (0, 1)]
-    found = differences_of(told[0], told[0], told * 4)
-    assert found["cic"].item() == pytest.approx(math.log(2), abs=1e-6)
-    found = differences_of(told[0], told[0], [told[0]] * 8)
-    assert found["cic"].item() == pytest.approx(0, abs=1e-9)
+def test_cic_of_a_robot_that_obeys_messages_is_their_entropy():
+    obeying = [torch.tensor([[[100.0 * (a == k) for a in range(4)]]]) for k in (0, 1)]
+    result = differences_of(obeying[0], obeying[0], obeying * 4)
+    assert result["cic"].item() == pytest.approx(math.log(2), abs=1e-6)
+    result = differences_of(obeying[0], obeying[0], [obeying[0]] * 8)
+    assert result["cic"].item() == pytest.approx(0, abs=1e-9)
 
 
-def test_who_sees_nobody_is_not_asked():
+def test_robots_without_contact_are_not_counted():
     cfg, policy = policy_of("topology=none")
-    found = listening(cfg, policy, count=3, epsilon=0.1)
-    assert found["cic"] == {"mean": None, "ci95": None}
+    result = listening(cfg, policy, count=3, epsilon=0.1)
+    assert result["cic"] == {"mean": None, "ci95": None}
     cfg, policy = policy_of("topology=full")
-    found = listening(cfg, policy, count=3, epsilon=0.1)
-    assert found["zero_moved"]["mean"] > 0 and found["cic"]["mean"] > 0
+    result = listening(cfg, policy, count=3, epsilon=0.1)
+    assert result["zero_moved"]["mean"] > 0 and result["cic"]["mean"] > 0
 
 
 def test_names():
@@ -215,7 +215,7 @@ def test_names():
             communicating(policy_of(f"comm={comm}")[1], "x")
 
 
-def test_wrong_questions_are_refused_in_one_line(tmp_path, monkeypatch, capsys):
+def test_wrong_arguments_are_refused_in_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["evaluate", "planner=random", "intervention=zero"]) == 2
     error = capsys.readouterr().err
@@ -223,7 +223,7 @@ def test_wrong_questions_are_refused_in_one_line(tmp_path, monkeypatch, capsys):
     assert not list(tmp_path.iterdir())
 
 
-def test_keys_of_the_frame_say_who_is_frozen():
+def test_keys_of_the_frame_mark_frozen_messages():
     cfg, policy = policy_of("comm=commnet")
     frozen = intervened(policy, INTERVENTIONS["freeze"])
     assert keys.FROZEN in frozen.in_keys and ("next", *keys.FROZEN) in frozen.out_keys

@@ -59,8 +59,8 @@ def test_house_i_is_test_seed_i_and_starts_do_not_depend_on_policy_or_run_seed(c
     assert [record["seed"] for record in ours] == list(range(2_000_000, 2_000_006))
     assert run(other, epsilon=0.3) == run(cfg, epsilon=0.3)
     names = ("seed", "rows", "cols", "free_cells", "bound_90", "bound_100", "bound_certify")
-    for one, other in zip(ours, theirs, strict=True):
-        assert [one[name] for name in names] == [other[name] for name in names]
+    for record, other_record in zip(ours, theirs, strict=True):
+        assert [record[name] for name in names] == [other_record[name] for name in names]
 
 
 def test_the_same_evaluation_gives_the_same_records_and_leaves_global_randomness_alone(cfg):
@@ -84,20 +84,20 @@ def test_epsilon_replaces_that_share_of_each_robots_actions(cfg):
     assert torch.equal(evaluator.with_random_actions(base, acted, 0.0), acted)
 
 
-def test_finished_houses_are_not_asked_about_and_are_not_changed_by_it(cfg, monkeypatch):
+def test_the_network_does_not_act_in_finished_episodes_and_records_are_the_same(cfg, monkeypatch):
     policy = Spread().train()
     long = cfg.copy()
     long.env.max_steps = 150
-    found = run(long, policy, epsilon=0.5)
-    finished = [record["T_100"] for record in found]
+    records = run(long, policy, epsilon=0.5)
+    finished = [record["T_100"] for record in records]
     assert min(time or 150 for time in finished) < max(time or 150 for time in finished)
     assert policy.asked[0] == 6 and policy.asked[-1] < 6
     assert not any(policy.modes) and policy.training  # dropout is off, and on again
     monkeypatch.setattr(rollouts, "act_in_running", lambda policy, td, running: policy(td))
-    assert run(long, Spread(), epsilon=0.5) == found
+    assert run(long, Spread(), epsilon=0.5) == records
 
 
-def test_messages_are_counted_only_while_a_house_plays(cfg):
+def test_messages_are_counted_only_while_an_episode_runs(cfg):
     for record in run(cfg):
         assert record["bits"] == pytest.approx(32 * record["messages"])
         assert record["messages"] == pytest.approx(2 * record["edges"])
@@ -121,15 +121,15 @@ def test_a_loaded_plan_is_one_house_started_as_often():
     assert len({record["free_cells"] for record in records}) == 1
 
 
-def test_certainty_plays_on_and_changes_nothing_else(cfg):
+def test_certify_continues_the_episode_and_changes_nothing_else(cfg):
     def planner(env):
         return build.make_planner(cfg, env)
 
     plain = evaluate(cfg, planner, house_set="test", count=6)
-    sure = evaluate(cfg, planner, house_set="test", count=6, certify=True)
-    for one, other in zip(sure, plain, strict=True):
-        assert {name: one[name] for name in other} == other
-    for record in sure:
+    certified = evaluate(cfg, planner, house_set="test", count=6, certify=True)
+    for longer, shorter in zip(certified, plain, strict=True):
+        assert {name: longer[name] for name in shorter} == shorter
+    for record in certified:
         if record["T_certify"] is not None:
             assert record["T_certify"] >= record["bound_certify"]
 
@@ -145,17 +145,17 @@ def test_a_learned_policy_stands_beside_the_planners(cfg):
 
 
 def test_weights_are_chosen_on_other_houses_than_they_are_tested_on(cfg):
-    found = validate(cfg, Spread())
+    means = validate(cfg, Spread())
     records = evaluate(
         cfg, lambda env: Spread(), house_set="validation", count=6, epsilon=cfg.evaluation.epsilon
     )
     assert [record["seed"] for record in records] == list(range(1_000_000, 1_000_006))
-    assert found["finished"] == sum(record["T_100"] is not None for record in records) / 6
+    assert means["finished"] == sum(record["T_100"] is not None for record in records) / 6
     times = [record["T_90"] or record["max_steps"] for record in records]
-    assert found["T_90"] == pytest.approx(sum(times) / 6)
+    assert means["T_90"] == pytest.approx(sum(times) / 6)
 
 
-def test_policies_are_asked_without_gradients_and_callers_keep_their_modes(cfg):
+def test_policies_act_without_gradients_and_callers_keep_their_modes(cfg):
     env, modes = build.make_env(cfg), []
     policy = Spread()
 

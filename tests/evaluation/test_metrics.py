@@ -71,7 +71,7 @@ HOUSES = ("....... ..#.... .......", "... .#. ... ..# ... .#. ...", ".....", "#.
 @pytest.mark.parametrize("n_agents", [1, 3])
 @pytest.mark.parametrize("certify", [False, True])
 @pytest.mark.parametrize("memory", [Memory.SHARED, Memory.PRIVATE])
-def test_random_play_is_measured_as_the_plain_world_measures_it(n_agents, certify, memory):
+def test_random_episodes_are_measured_as_by_the_plain_world(n_agents, certify, memory):
     env = env_of(
         houses_of(*HOUSES),
         n_agents=n_agents,
@@ -128,7 +128,7 @@ def test_a_corridor_by_hand():
     assert record["return"] == pytest.approx((3.4 - 1 - 1 + 3.4) + (1 + 1 + 1 + 3.4), abs=1e-4)
 
 
-def test_rounds_and_gates_are_counted_as_the_policy_tells_them():
+def test_rounds_and_gates_are_counted_from_the_policys_entries():
     env = env_of(houses_of("....", starts=[[(0, 0), (0, 1), (0, 2)]]), n_agents=3, max_steps=2)
     td = TensorDict(batch_size=env.batch_size)
     env.reset()
@@ -161,7 +161,7 @@ def test_an_unfinished_house_has_null_times_and_its_last_coverage():
     assert record["bumps"] == 7
 
 
-def test_a_clean_house_is_frozen_while_others_play_on():
+def test_a_clean_house_is_frozen_while_others_continue():
     two = houses_of("..", "......", starts=[[(0, 0)], [(0, 0)]])
     together = played(env_of(two, n_agents=1), lambda step: [[RIGHT], [RIGHT]]).records()
     alone = played(

@@ -69,7 +69,7 @@ def small_houses(draw: st.DrawFn) -> tuple[set[Place], tuple[int, int], list[Pla
 
 @given(small_houses())
 @hypothesis_settings(max_examples=60, deadline=None)
-def test_the_optimum_is_that_of_a_search_over_all_plays(drawn) -> None:
+def test_the_optimum_is_that_of_a_search_over_all_schedules(drawn) -> None:
     free, shape, starts = drawn
     house = np.array(grid(free, *shape))
     assert optimal_T_100(house, np.array(starts)) == plain_optimum(free, tuple(starts))
@@ -81,7 +81,7 @@ def test_one_robot_in_a_comb_pays_for_each_tooth_but_the_last() -> None:
     assert optimal_T_100(comb, np.array([[0, 3]])) > bound_100(comb[None], np.array([[[0, 3]]]))[0]
 
 
-def test_robots_that_stand_in_each_others_way_need_longer_than_the_bound() -> None:
+def test_robots_that_block_each_other_need_longer_than_the_bound() -> None:
     """In a corridor nobody passes: two robots at one end are one robot and a spectator."""
     corridor = house_of(".........")
     assert optimal_T_100(corridor, np.array([[0, 4], [0, 5]])) == 4
@@ -102,11 +102,11 @@ def test_an_evaluation_adds_the_optimum_and_the_gap_and_changes_nothing_else(n_a
     settings = [*SMALL, f"env.n_agents={n_agents}"]
     plain = measure_planner(compose_config(settings))
     known = measure_planner(compose_config([*settings, "evaluation.optimum=true"]))
-    for one, other in zip(known["houses"], plain["houses"], strict=True):
-        assert one["bound_100"] <= one["optimum_100"] <= one["T_100"]
-        assert one["gap_100"] == one["T_100"] / one["optimum_100"] >= 1
-        assert {name: one[name] for name in other} == other
-        assert {*one} - {*other} == {"optimum_100", "gap_100"}
+    for house, other in zip(known["houses"], plain["houses"], strict=True):
+        assert house["bound_100"] <= house["optimum_100"] <= house["T_100"]
+        assert house["gap_100"] == house["T_100"] / house["optimum_100"] >= 1
+        assert {name: house[name] for name in other} == other
+        assert {*house} - {*other} == {"optimum_100", "gap_100"}
     assert {*known["summary"]} - {*plain["summary"]} == {"optimum_100", "gap_100"}
     assert {name: known["summary"][name] for name in plain["summary"]} == plain["summary"]
     gaps = [house["gap_100"] for house in known["houses"]]
@@ -130,7 +130,7 @@ def test_a_house_not_finished_counts_as_its_max_steps_in_the_gap() -> None:
     assert counted({**house, "T_100": 30, "gap_100": 1.5}, "gap_100") == 1.5
 
 
-def test_without_or_tools_the_optimum_is_bad_input_before_anything_is_played(monkeypatch) -> None:
+def test_without_or_tools_the_optimum_is_bad_input_before_any_episode(monkeypatch) -> None:
     monkeypatch.setattr(checks, "find_spec", lambda name: None)
     with pytest.raises(BadInput, match=r"evaluation.optimum=true.*marl-clean\[optimum\]"):
         checks.check_optimum(compose_config(["evaluation.optimum=true"]))

@@ -53,7 +53,7 @@ def test_a_ratio_to_no_bound_is_left_out_of_the_mean():
     assert summary["ratio_100"]["reached"] == pytest.approx(1 / 3)
 
 
-def test_several_runs_are_told_apart():
+def test_houses_of_several_runs_are_kept_apart():
     runs = [[house_of(seed, time) for seed in range(4)] for time in (20, 40, 90)]
     summary = summarise(runs)
     assert summary["T_90"]["mean"] == 50.0 and summary["T_90"]["ci95"] == [20.0, 90.0]
@@ -66,7 +66,7 @@ def test_what_is_measured_on_demand_may_be_absent():
     assert list(summarise([[house_of(0, 40)]])) == list(MEASURES)
 
 
-def test_a_file_comes_back_as_written_and_leaves_nothing_beside_it(tmp_path):
+def test_a_file_is_read_as_written_and_leaves_nothing_beside_it(tmp_path):
     path = tmp_path / "deep" / "evaluation.json"
     entries = [entry_of("random", [40, None])]
     write_entries(path, entries)

@@ -1,4 +1,4 @@
-"""Masked actions: nobody takes one, no target is of one, and none makes a loss infinite."""
+"""Masked actions are never taken, never in targets, and never make a loss infinite."""
 
 import pytest
 import torch
@@ -62,7 +62,7 @@ def acted(agent: Agent, explores: bool) -> TensorDict:
 
 @pytest.mark.parametrize("level", LEARNERS)
 @pytest.mark.parametrize("progress", [0.0, 0.07, None])
-def test_nobody_takes_a_masked_action(level: str, progress: float | None) -> None:
+def test_no_robot_takes_a_masked_action(level: str, progress: float | None) -> None:
     agent = make(level)
     if progress is not None:
         agent.anneal(progress)
@@ -72,7 +72,7 @@ def test_nobody_takes_a_masked_action(level: str, progress: float | None) -> Non
 
 
 @pytest.mark.parametrize("level", LEARNERS)
-def test_a_masked_action_that_was_taken_teaches_finitely(level: str) -> None:
+def test_a_masked_action_that_was_taken_gives_finite_losses(level: str) -> None:
     agent, frames = make(level), batch()
     if level in ON_POLICY:
         block = frames.view(20, 10)
@@ -136,7 +136,7 @@ def test_the_advantages_of_dueling_are_averaged_over_all_actions() -> None:
     plain, hiding = make_learner("iql", "plan", mask_walls=False), make("iql")
     hiding.network.load_state_dict(plain.network.state_dict())
     frames = batch()
-    values, shown = (one.values(one.network, frames) for one in (plain, hiding))
+    values, shown = (agent.values(agent.network, frames) for agent in (plain, hiding))
     mask = frames[keys.ACTION_MASK]
     assert torch.equal(shown[mask], values[mask])
     assert (shown[~mask] == torch.finfo(torch.float32).min).all()

@@ -1,4 +1,4 @@
-"""What changes over a run: step by step, by plain arithmetic."""
+"""Schedules over a run, compared with plain arithmetic."""
 
 import pytest
 import torch
@@ -65,7 +65,7 @@ def test_windows_sum_by_the_present_discount() -> None:
     assert summed["next", keys.REWARD].unique().tolist() == [1.25]
 
 
-def test_successes_are_of_late_episodes() -> None:
+def test_successes_are_of_recent_episodes() -> None:
     successes, expected = Annealing(), 0.0
     generator = torch.Generator().manual_seed(0)
     for block in range(300):
@@ -88,5 +88,5 @@ def test_shaped_rewards_are_discounted_as_the_learners() -> None:
     env = build.make_env(compose_config(small))
     agent = make_learner("iql", "plan", gamma=0.5, gamma_end=0.9)
     Annealing().set(agent, env, 0.5)
-    (shaping,) = (each for each in env.transforms if isinstance(each, Shaping))
+    (shaping,) = (t for t in env.transforms if isinstance(t, Shaping))
     assert shaping.gamma == agent.gamma == pytest.approx(0.7)

@@ -56,14 +56,14 @@ def coarse_planes(world: World, robot: int, centre: Place, side: int, scale: int
 
 def distances(world: World, robot: int, range_cells: int) -> list[float]:
     """Free cells before the first blocked one, in eight directions, over the reach."""
-    found = []
+    shares = []
     for down, right in COMPASS:
         row, col = world.positions[robot]
         count = 0
         while count < range_cells and world.is_free((row + down, col + right)):
             row, col, count = row + down, col + right, count + 1
-        found.append(count / range_cells)
-    return found
+        shares.append(count / range_cells)
+    return shares
 
 
 def whole(world: World, robot: int, largest_side: int) -> list:

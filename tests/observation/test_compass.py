@@ -25,7 +25,7 @@ CLOSE = {"atol": 1e-6, "rtol": 0}
 
 
 class PlainCompass:
-    """What one robot is shown, from the plain world alone."""
+    """The observation of one robot, from the plain world alone."""
 
     def __init__(self, world: World, robot: int, noise: float, index: int) -> None:
         self.world, self.known = world, world.map_of(robot)
@@ -136,7 +136,7 @@ class PlainCompass:
         return shown + self.ways(onward, [])
 
     def to_goal(self, place: Place, goals: set[Place]) -> int | None:
-        """Steps from a place to the nearest goal; none from where nobody can walk."""
+        """Steps from a place to the nearest goal; None from where no robot can walk."""
         if place in goals:
             return 0
         if not self.is_free(place):

@@ -30,15 +30,15 @@ def steps_to_frontier(world: reference.World, robot: int) -> dict[reference.Plac
         record = known.get(place)
         return record is None or reference.value(record, world.steps, world.settings) == 0
 
-    found = {place: 0 for place in matrix if is_goal(place)}
-    queue = deque(found)
+    steps = {place: 0 for place in matrix if is_goal(place)}
+    queue = deque(steps)
     while queue:
         row, col = queue.popleft()
         for near in ((row - 1, col), (row, col + 1), (row + 1, col), (row, col - 1)):
-            if near in free and near not in found:
-                found[near] = found[row, col] + 1
+            if near in free and near not in steps:
+                steps[near] = steps[row, col] + 1
                 queue.append(near)
-    return found
+    return steps
 
 
 def expected_plane(

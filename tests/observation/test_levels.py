@@ -65,12 +65,12 @@ def test_wide_views_do_not_make_the_worlds_wide() -> None:
     assert env_of("distances").base_env.rules.margin == 1
 
 
-def test_a_global_map_refuses_a_larger_house_before_it_is_played() -> None:
+def test_a_global_map_refuses_a_larger_house_before_an_episode() -> None:
     with pytest.raises(BadInput, match="largest_side=8: too small for houses of 9x9; at least 9"):
         env_of("global_map", "observation.largest_side=8").reset()
 
 
-def test_what_is_no_square_is_not_turned() -> None:
+def test_vectors_are_not_rotated() -> None:
     config = compose_config([*settings_of("distances"), "agent.augment=true", "env.n_agents=3"])
     with pytest.raises(BadInput, match=r"agent\.augment=true: rotates squares"):
         make_agent(config, make_env(config, HOUSES, num_envs=2))

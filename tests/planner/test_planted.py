@@ -52,6 +52,6 @@ def test_the_contract_refuses(wrong: type[Planner], broken: str) -> None:
         check_planner(wrong)
 
 
-def test_what_does_not_finish_is_told() -> None:
+def test_a_planner_that_does_not_finish_breaks_the_contract() -> None:
     with pytest.raises(ContractBroken, match="planner=random: .* houses .* are not finished"):
         check_planner("random")

@@ -86,7 +86,7 @@ def test_a_run_is_trained_and_measured_with_them(trained: Path, site: Path) -> N
 
 
 @pytest.mark.slow
-def test_without_the_package_the_run_says_which_it_needs(trained: Path) -> None:
+def test_without_the_package_the_run_names_it(trained: Path) -> None:
     missing = python("-m", "marl_clean", "evaluate", "checkpoint=tidy", at=trained, paths=[])
     assert missing.returncode == 2 and missing.stderr.count("\n") == 1
     assert "--plugin tidy_lab" in missing.stderr

@@ -124,7 +124,7 @@ def test_what_is_no_plugin_is_refused(make: Make, files: dict, broken: str) -> N
         pass
 
 
-def test_two_plugins_may_not_have_one_level(make: Make) -> None:
+def test_two_plugins_may_not_have_a_level_of_the_same_name(make: Make) -> None:
     names = [make(), make("hushed_too")]
     expected = "plugin hushed_too: conf/comm/hush.yaml is a level of hushed already"
     with pytest.raises(BadInput, match=expected), locate.plugins_in_use(names):
@@ -171,7 +171,9 @@ def test_a_run_that_needs_a_plugin_names_it(make: Make, tmp_path: Path, capsys) 
         ("comm", "hushed"),
     ],
 )
-def test_a_stranger_names_nothing_else(make: Make, tmp_path: Path, room: str, target: str) -> None:
+def test_an_untrusted_config_imports_nothing_else(
+    make: Make, tmp_path: Path, room: str, target: str
+) -> None:
     with locate.plugins_in_use([make()]):
         folder = stored(tmp_path / "run", compose.compose_config(["comm=hush"]), **{room: target})
         with pytest.raises(

@@ -26,5 +26,5 @@ def test_every_name_of_the_door_is_there_and_documented() -> None:
     assert callable(marl_clean.train) and marl_clean.train.__name__ == "train"
 
 
-def test_it_says_that_it_is_typed() -> None:
+def test_the_package_is_marked_as_typed() -> None:
     assert files(marl_clean).joinpath("py.typed").is_file()

@@ -47,7 +47,7 @@ SAME: list[tuple[Settings, dict[str, Any], list[str]]] = [
 
 
 @pytest.mark.parametrize(("settings", "keywords", "overrides"), SAME)
-def test_both_ways_to_say_it_make_one_config(
+def test_both_spellings_make_the_same_config(
     settings: Settings, keywords: dict[str, Any], overrides: Sequence[str]
 ) -> None:
     ours = compose_config(overrides_of(settings, keywords))

@@ -62,7 +62,9 @@ def test_the_table_is_evaluation_json_as_rows(run: Run) -> None:
     assert "nearest_unknown" in str(table) and "T_100" in str(table)
 
 
-def test_without_pandas_it_says_what_to_install(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pandas_the_message_names_what_to_install(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     real = builtins.__import__
 
     def without(name: str, *rest: Any) -> Any:
@@ -97,7 +99,7 @@ def test_it_measures_what_the_command_measures(
         assert json.loads(json.dumps(table.entries)) == wanted
 
 
-def test_a_file_is_written_only_when_asked_for(workplace: Path) -> None:
+def test_a_file_is_written_only_with_out(workplace: Path) -> None:
     before = {*workplace.rglob("*")}
     table = marl_clean.evaluate(["planner=random"], houses=2)
     assert {*workplace.rglob("*")} == before
@@ -131,7 +133,7 @@ def test_the_curve_has_a_line_for_what_was_logged(run: Run) -> None:
     assert {axes.get_title(loc="left") for axes in figure.axes if axes.lines} <= names
 
 
-def test_a_replay_is_the_runs_own_or_of_what_is_asked_for(run: Run) -> None:
+def test_a_replay_is_the_runs_own_or_that_of_the_settings(run: Run) -> None:
     own = run.replay()
     assert own == run.folder / "replay.gif"
     before = own.read_bytes()
@@ -156,7 +158,7 @@ def test_a_run_trained_on_a_gpu_acts_here(run: Run, monkeypatch: pytest.MonkeyPa
         config.write_text(text)
 
 
-def test_what_a_run_has_not_is_one_line(workplace: Path) -> None:
+def test_a_missing_file_of_a_run_is_one_line(workplace: Path) -> None:
     shipped = Run("approach_2_frontier")
     with pytest.raises(BadInput, match="has no evaluation.json; train it to its end"):
         print(shipped.table)

@@ -1,4 +1,4 @@
-"""A planner acts first: who learns what of it, and when the learner's own turn begins."""
+"""A planner acts first: what each learner learns from it, and when the learner itself acts."""
 
 import pytest
 import torch
@@ -87,7 +87,7 @@ def test_cross_entropy_by_hand() -> None:
 
 
 @pytest.mark.parametrize("loss", [margin_loss, cross_entropy])
-def test_what_is_masked_is_not_imitated(loss) -> None:
+def test_masked_actions_are_not_imitated(loss) -> None:
     least = torch.finfo(torch.float32).min
     value = torch.tensor([[1.0, least, 2.0, 0.0]], requires_grad=True)
     result = loss(value, torch.tensor([1]))
@@ -110,7 +110,7 @@ def test_the_planner_acts_first_and_the_learner_then(level: str) -> None:
     assert set(own.keys(True, True)) == set(frames.keys(True, True))
 
 
-def test_what_is_shown_is_written_down_where_a_robot_acts_at_random() -> None:
+def test_demonstrations_are_recorded_where_a_robot_acts_at_random() -> None:
     _, env, start = shown("iql", epsilon=0.5)
     start.at(0)
     frames = collected(env, start)
@@ -126,7 +126,7 @@ def agreement(agent: Agent, frames) -> float:
 
 
 @pytest.mark.parametrize("level", LEARNERS)
-def test_every_learner_comes_to_do_as_it_was_shown(level: str) -> None:
+def test_every_learner_imitates_the_demonstrations(level: str) -> None:
     agent, env, start = shown(level, "agent.lr=0.003", "agent.mask_walls=true")
     start.at(0)
     frames = collected(env, start)
@@ -154,7 +154,7 @@ def test_rows_are_imitated_too(level: str) -> None:
     assert agent.update(learnt)["loss"].isfinite()
 
 
-def test_a_policy_by_ppo_learns_by_its_own_loss_once_it_acts() -> None:
+def test_ppo_learns_by_its_own_loss_once_it_acts() -> None:
     agent, env, start = shown("ippo")
     for frames, measure in ((0, "imitation"), (100, "clip_fraction")):
         start.at(frames)
@@ -162,7 +162,7 @@ def test_a_policy_by_ppo_learns_by_its_own_loss_once_it_acts() -> None:
         assert measure in agent.update(agent.estimate(block).flatten())
 
 
-def test_a_rotated_frame_is_shown_rotated() -> None:
+def test_rotated_frames_have_rotated_demonstrations() -> None:
     agent, env, start = shown("iql", "agent.augment=true")
     start.at(0)
     learnt = collected(env, start).select(*agent.learns_from).flatten()
@@ -219,14 +219,14 @@ def test_a_killed_run_ends_as_the_uninterrupted_one(tmp_path, level: str, planne
     assert all(torch.equal(weight, killed[name]) for name, weight in whole.items())
 
 
-def test_who_is_no_planner_is_named_with_those_that_are() -> None:
+def test_an_unknown_planner_is_refused_with_the_valid_names() -> None:
     valid = "boustrophedon, nearest_unknown, random, smart_dfs, spiral, null"
     with pytest.raises(BadInput, match=f"^trainer.imitate=me: is no planner; valid: {valid}$"):
         check_imitate(compose_config(["trainer.imitate=me"]))
     check_imitate(compose_config(["trainer.imitate=spiral"]))
 
 
-def test_without_houses_nobody_plans(tmp_path) -> None:
+def test_without_houses_no_planner_can_be_imitated(tmp_path) -> None:
     with pytest.raises(BadInput, match="^trainer.imitate=spiral: planners need houses"):
         check_imitate(compose_config(["+experiment=spread", "trainer.imitate=spiral"]))
     trainer = OffPolicy(**SETTINGS, imitate="spiral")

@@ -1,4 +1,4 @@
-"""Searches by machine code and by floods of tensors give what a plain search gives."""
+"""Searches by machine code and by floods of tensors agree with a plain search."""
 
 from collections import deque
 
