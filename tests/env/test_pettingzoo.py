@@ -82,7 +82,7 @@ def copies(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
     kinds: dict[str, Any] = {}
     ends = iter(range(3, 100))
     monkeypatch.setattr(
-        pettingzoo, "made", lambda task, options: Count(**({"end": next(ends)} | kinds))
+        pettingzoo, "make_parallel", lambda task, options: Count(**({"end": next(ends)} | kinds))
     )
     yield kinds
 
