@@ -35,7 +35,7 @@ def make(*overrides: str, **settings: Any) -> ParallelCleaning:
     return parallel_env([*FEW, *overrides], **settings)
 
 
-def play(env: ParallelCleaning, seed: int | None, actions_seed: int = 0) -> list[Any]:
+def run_episode(env: ParallelCleaning, seed: int | None, actions_seed: int = 0) -> list[Any]:
     """Everything that one whole episode shows, under random actions."""
     rng = np.random.default_rng(actions_seed)
     seen: list[Any] = [env.reset(seed=seed), env.state()]
@@ -70,9 +70,11 @@ def test_a_whole_episode_repeats_under_its_seed_and_not_under_another() -> None:
     # Without a limit that random actions could reach: 300 steps, however they go.
     large = ["house.rows=[14,14]", "house.cols=[14,14]", "env.stuck_after=null"]
     env = make(*large, "env.max_steps=300")
-    first = play(env, seed=3)
+    first = run_episode(env, seed=3)
     assert len(first) == 2 + 2 * 300
-    assert data_equivalence(first, play(make(*large, "env.max_steps=300"), seed=3), exact=True)
+    assert data_equivalence(
+        first, run_episode(make(*large, "env.max_steps=300"), seed=3), exact=True
+    )
     assert not data_equivalence(first[0], env.reset(seed=4))
 
 
@@ -155,7 +157,7 @@ def test_masked_actions_bump_into_no_wall_of_a_memorised_house() -> None:
 
 def test_the_state_is_the_union_of_all_maps_as_large_as_the_largest_house() -> None:
     env = make("env.memory=private", "env.n_agents=3")
-    play(env, seed=0)
+    run_episode(env, seed=0)
     for _ in range(4):  # in houses of other sizes too
         env.reset()
         env.step(dict.fromkeys(env.agents, 1))
@@ -203,7 +205,9 @@ def test_keywords_and_overrides_make_the_same_world() -> None:
     by_keywords = parallel_env(FEW, n_agents=3, adjacency=True, env={"memory": "private"})
     by_overrides = make("env.n_agents=3", "env.memory=private", adjacency=True)
     assert by_keywords.possible_agents == ["robot_0", "robot_1", "robot_2"]
-    assert data_equivalence(play(by_keywords, seed=1), play(by_overrides, seed=1), exact=True)
+    assert data_equivalence(
+        run_episode(by_keywords, seed=1), run_episode(by_overrides, seed=1), exact=True
+    )
 
 
 @pytest.mark.parametrize("mode", ["rgb_array", "ansi", "human"])

@@ -59,15 +59,15 @@ def first_steps(
 
     Of the goals at 1 step or more to which none of the robot's `rivals` is nearer, over passable
     cells of the one map or of the robot's own; goals and starts need not be passable, and robots
-    are in nobody's way. All shortest ways to all such goals at that distance count. No step, and
-    UNREACHABLE, where there is none. `start` and `others` are flat cells
-    of the grid: where each robot begins, and where robots stand for each other. int32.
+    block no path. All shortest paths to all such goals at that distance count. No step, and
+    UNREACHABLE, where there is none. `start` and `others` are flat cells of the grid: where each
+    robot begins, and where robots stand for each other. int32.
     """
     if passable.device.type != "cpu":
         return flood_first_steps(passable, goals, start, others, rivals)
     passable, goals = torch.broadcast_tensors(passable, goals)
-    given = (each.contiguous().numpy() for each in (passable, goals, start, others, rivals))
-    ways, lengths = _searches.first_steps(*given)
+    arrays = (each.contiguous().numpy() for each in (passable, goals, start, others, rivals))
+    ways, lengths = _searches.first_steps(*arrays)
     return torch.from_numpy(ways), torch.from_numpy(lengths)
 
 
@@ -102,8 +102,8 @@ def flood_first_steps(
         return place.scatter(2, cell[..., None], True)
 
     own = marked(start)
-    theirs = (rivals.float() @ marked(others).float()) > 0
-    wave = (own | theirs).unflatten(-1, (height, width))
+    of_rivals = (rivals.float() @ marked(others).float()) > 0
+    wave = (own | of_rivals).unflatten(-1, (height, width))
     own = own.unflatten(-1, (height, width))
     # Which of a robot's first steps its wave came by, [4, env, agent, height, width]. A cell whose
     # lower neighbour is the start was entered by a step up, and so on.

@@ -86,8 +86,8 @@ def draw_starts(
     """
     houses, rules = setup.houses, setup.rules
     n_agents = houses.starts.shape[1]
-    given = houses.starts[house]
-    is_given = (given >= 0).all(-1)
+    plan_starts = houses.starts[house]
+    is_planned = (plan_starts >= 0).all(-1)
     if rules.knowledge is Knowledge.STALE:  # furniture has moved: the house's own list is stale too
         cells = torch.arange(blocked[0].numel(), device=house.device)
         width = blocked.shape[2]
@@ -95,15 +95,15 @@ def draw_starts(
         label = torch.where(blocked.flatten(1), -1, row * LARGEST_SIDE + col)
     else:
         label = houses.free_labels[house]
-    taken = torch.where(is_given, given[..., 0] * LARGEST_SIDE + given[..., 1], -1)
-    usable = (label >= 0) & (label[:, :, None] != taken[:, None, :]).all(-1)
+    occupied = torch.where(is_planned, plan_starts[..., 0] * LARGEST_SIDE + plan_starts[..., 1], -1)
+    usable = (label >= 0) & (label[:, :, None] != occupied[:, None, :]).all(-1)
     label = torch.where(usable, label, 0)
     words = (setup.env_index[:, None], episode[:, None], Purpose.START, label)
     word = random_bits(setup.seed, *words)
     key = torch.where(usable, word * LARGEST_SIDE**2 + label, -1)
     best = key.topk(n_agents, dim=1).values % LARGEST_SIDE**2
     drawn = torch.stack([best // LARGEST_SIDE, best % LARGEST_SIDE], -1)
-    return torch.where(is_given[..., None], given, drawn)
+    return torch.where(is_planned[..., None], plan_starts, drawn)
 
 
 def draw_furniture_moves(
@@ -138,8 +138,8 @@ def _rearranged(
     height, width = blocked.shape[1:]
     moves = draw_furniture_moves(setup, house, episode, count, before_start=True)
     inside = inside_house(houses.rows[house], houses.cols[house], height, width, margin)
-    given = cell_index(houses.starts[house], margin, width).clamp(min=0)
-    starts = torch.zeros_like(blocked).flatten(1).scatter(1, given, True).view_as(blocked)
+    plan_starts = cell_index(houses.starts[house], margin, width).clamp(min=0)
+    starts = torch.zeros_like(blocked).flatten(1).scatter(1, plan_starts, True).view_as(blocked)
     for move in range(count):
         which, direction = moves[:, move, 1], moves[:, move, 2]
         blocked, piece = shift_piece(blocked, piece, inside, starts, which, direction)

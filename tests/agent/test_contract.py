@@ -131,10 +131,10 @@ def team_loss(agent: Vdn, batch: TensorDict, mixed) -> torch.Tensor:
     with torch.no_grad():
         best = agent.network(then).out.argmax(-1, keepdim=True)
         later = mixed(target(then).out.gather(-1, best), batch["next", keys.STATE])
-        goes_on = (~batch["next", "terminated"]).float()
+        continues = (~batch["next", "terminated"]).float()
         reward = batch["next", keys.REWARD][:, 0]  # the sum already, the same for all
         discount = agent.gamma ** batch[keys.STEPS_TO_NEXT_OBS].unsqueeze(-1)
-        goal = reward + discount * goes_on * later
+        goal = reward + discount * continues * later
     chosen = agent.network(now).out.gather(-1, batch[keys.ACTION].unsqueeze(-1))
     return torch.nn.functional.smooth_l1_loss(mixed(chosen, batch[keys.STATE]), goal)
 

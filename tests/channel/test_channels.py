@@ -135,11 +135,11 @@ def test_a_budget_writes_to_the_nearest():
 def moving(steps: int) -> list[tuple[torch.Tensor, torch.Tensor]]:
     """Messages of two rounds and a graph, another each step."""
     generator = torch.Generator().manual_seed(7)
-    found = []
+    result = []
     for _ in range(steps):
         live = (torch.rand(5, 4, 4, generator=generator) < 0.5).triu(1)
-        found.append((torch.randn(5, 4, 3, generator=generator), live | live.mT))
-    return found
+        result.append((torch.randn(5, 4, 3, generator=generator), live | live.mT))
+    return result
 
 
 DIMS = (2, 1)
@@ -181,8 +181,8 @@ def test_drawn_ages_tell_themselves():
                         assert not edges[world, :, sender].any()
                         continue
                     before, then = past[t - a]
-                    said = before.split(DIMS, dim=-1)[round_index][world, sender]
-                    torch.testing.assert_close(heard[world, sender], said + 0.5 * a / 2)
+                    sent_values = before.split(DIMS, dim=-1)[round_index][world, sender]
+                    torch.testing.assert_close(heard[world, sender], sent_values + 0.5 * a / 2)
                     assert torch.equal(edges[world, :, sender], then[world, :, sender])
         state = delayed.state_after(step, message.split(DIMS, dim=-1), [live, live])
     assert {0, 1, 2} == set(ages)

@@ -236,7 +236,7 @@ def dial() -> None:
     received = [relu(times(B, m, SHIFT)) for m in bits]
     expected = [joined(relu(times(B, h)), received, i, "sum") for i, h in robots()]
     feature = torch.tensor(FEATURE, dtype=torch.float64)
-    result, said, _, cost, _ = comm.double()(feature, LIVE, RANK)
+    result, sent, _, cost, _ = comm.double()(feature, LIVE, RANK)
     torch.testing.assert_close(result, torch.tensor(expected, dtype=torch.float64))
-    assert said.tolist() == bits
+    assert sent.tolist() == bits
     assert cost.flatten().tolist() == [4.0, 2.0, 2.0, 0.0]

@@ -291,8 +291,8 @@ def test_a_preset_has_a_sweep_and_settings_override_it_key_by_key(
     configs = [load_config(place / "runs" / name) for name in trained]
     assert {config["seed"] for config in configs} == {7}
     assert {config["env"]["memory"] for config in configs} == {"shared"}
-    asked = {(c["comm"]["_target_"], c["reward"]["_target_"]) for c in configs}
-    assert len(asked) == 6
+    combinations = {(c["comm"]["_target_"], c["reward"]["_target_"]) for c in configs}
+    assert len(combinations) == 6
     assert all("hydra" not in config for config in configs)
 
 

@@ -67,10 +67,10 @@ def test_a_row_a_training_channel_and_a_column_a_test_channel(runs, monkeypatch,
 def test_channels_to_measure_over_can_be_chosen(runs, monkeypatch):
     monkeypatch.chdir(runs)
     folder = str(next((runs / "runs" / "x").iterdir()))
-    asked = ["--channel", "lossy(loss=1.0)", "--channel", "quantised(bits=2,limit=1.5),noisy"]
-    assert cli.main(["matrix", folder, *asked, "--houses", "2", "--out", "n.json"]) == 0
+    channels = ["--channel", "lossy(loss=1.0)", "--channel", "quantised(bits=2,limit=1.5),noisy"]
+    assert cli.main(["matrix", folder, *channels, "--houses", "2", "--out", "n.json"]) == 0
     cells = json.loads((runs / "n.json").read_text())
-    assert [cell["policy"] for cell in cells] == [f"run | {text}" for text in asked[1::2]]
+    assert [cell["policy"] for cell in cells] == [f"run | {text}" for text in channels[1::2]]
     assert all(len(cell["houses"]) == 2 for cell in cells)
 
 

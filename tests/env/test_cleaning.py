@@ -37,8 +37,8 @@ def actions_for(steps: int, num_envs: int, n_agents: int = 3) -> torch.Tensor:
     return torch.randint(0, 4, (steps, num_envs, n_agents), generator=generator)
 
 
-def play(env, actions: torch.Tensor, tensordict=None) -> list:
-    """Play on through resets and return what every step recorded."""
+def stepped(env, actions: torch.Tensor, tensordict=None) -> list:
+    """Step through resets and return what every step recorded."""
     tensordict = env.reset() if tensordict is None else tensordict
     steps = []
     for action in actions:
@@ -63,7 +63,7 @@ def test_equal_seeds_give_equal_episodes_and_other_seeds_others(overrides: list[
     """Over 500 steps with many resets, to the last bit."""
     actions = actions_for(500, 6)
     first, again, other = (
-        torch.stack(play(small_env(*overrides, "env.stuck_after=20", seed=seed), actions))
+        torch.stack(stepped(small_env(*overrides, "env.stuck_after=20", seed=seed), actions))
         for seed in (3, 3, 4)
     )
     assert first["next", keys.DONE].sum() > 20
@@ -75,9 +75,9 @@ def test_set_seed_starts_over() -> None:
     actions = actions_for(60, 6)
     env = small_env(seed=1)
     env.set_seed(5)
-    first = torch.stack(play(env, actions))
+    first = torch.stack(stepped(env, actions))
     env.set_seed(5)
-    assert (first == torch.stack(play(env, actions))).all()
+    assert (first == torch.stack(stepped(env, actions))).all()
 
 
 @pytest.mark.slow
@@ -85,16 +85,16 @@ def test_env_i_of_many_is_env_i_alone() -> None:
     actions = actions_for(300, 8)
     rules = Rules(stuck_after=15)
     together = CleaningEnv(HOUSES, rules, n_agents=3, num_envs=8, seed=2)
-    steps = torch.stack(play(together, actions))
+    steps = torch.stack(stepped(together, actions))
     for index in (0, 5, 7):
         alone = CleaningEnv(HOUSES, rules, n_agents=3, num_envs=1, seed=2, first_env=index)
-        alone_steps = torch.stack(play(alone, actions[:, index : index + 1]))
+        alone_steps = torch.stack(stepped(alone, actions[:, index : index + 1]))
         assert (alone_steps[:, 0] == steps[:, index]).all()
 
 
 def test_a_partial_reset_touches_no_other_world_and_no_recorded_step() -> None:
     env = small_env(num_envs=5)
-    steps = play(env, actions_for(10, 5))
+    steps = stepped(env, actions_for(10, 5))
     recorded = [step.clone() for step in steps]
     before = {name: value.clone() for name, value in env.base_env.state.tensors().items()}
     tensordict = steps[-1]["next"].clone().select(keys.AGENTS, *keys.ENDINGS)
@@ -117,15 +117,15 @@ def test_a_partial_reset_touches_no_other_world_and_no_recorded_step() -> None:
 def test_a_loaded_state_resumes_exactly(overrides: list[str]) -> None:
     actions = actions_for(60, 6)
     env = small_env(*overrides, "env.stuck_after=10")
-    steps = play(env, actions[:30])
+    steps = stepped(env, actions[:30])
     saved = env.base_env.state_dict()
     carried = steps[-1]["next"].exclude(keys.REWARD)
     carried[keys.DONE].zero_(), carried[keys.TRUNCATED].zero_(), carried[keys.TERMINATED].zero_()
-    expected = torch.stack(play(env, actions[30:], carried.clone()))
+    expected = torch.stack(stepped(env, actions[30:], carried.clone()))
     other = small_env(*overrides, "env.stuck_after=10", seed=9)
     other.reset()
     other.base_env.load_state_dict(saved)
-    assert (torch.stack(play(other, actions[30:], carried.clone())) == expected).all()
+    assert (torch.stack(stepped(other, actions[30:], carried.clone())) == expected).all()
 
 
 def test_a_state_of_other_sizes_is_refused() -> None:

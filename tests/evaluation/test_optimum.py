@@ -1,4 +1,4 @@
-"""The proven optimum is what a plain search over all plays finds."""
+"""The proven optimum agrees with a plain search over all schedules."""
 
 from collections.abc import Iterator
 from itertools import product
@@ -114,10 +114,10 @@ def test_an_evaluation_adds_the_optimum_and_the_gap_and_changes_nothing_else(n_a
 
 
 def test_a_large_house_and_one_with_moving_furniture_have_no_optimum() -> None:
-    asked = ["evaluation.optimum=true", "evaluation.houses=2", "env.n_agents=1"]
+    optimum = ["evaluation.optimum=true", "evaluation.houses=2", "env.n_agents=1"]
     large = ["house.rows=[14, 14]", "house.cols=[14, 14]", "env.max_steps=3"]
     for settings in (large, [*SMALL[:2], "env.furniture_moves_per_episode=1"]):
-        entry = measure_planner(compose_config([*asked, *settings]))
+        entry = measure_planner(compose_config([*optimum, *settings]))
         assert all(house["optimum_100"] is None for house in entry["houses"])
         assert all(house["gap_100"] is None for house in entry["houses"])
         assert entry["summary"]["gap_100"]["mean"] is None

@@ -101,9 +101,9 @@ def test_targets_are_of_the_best_action_that_is_allowed(double: bool) -> None:
             network.head.bias.copy_(torch.arange(4.0))
     assert head.bias.tolist() == [0.0, 1.0, 2.0, 3.0]
     best = torch.where(frames["next", keys.ACTION_MASK], torch.arange(4.0), -1.0).amax(-1)
-    goes_on = 1.0 - frames["next", keys.TERMINATED].float()
+    continues = 1.0 - frames["next", keys.TERMINATED].float()
     discount = agent.gamma ** frames[keys.STEPS_TO_NEXT_OBS].unsqueeze(-1)
-    target = frames["next", keys.REWARD].squeeze(-1) + discount * goes_on * best
+    target = frames["next", keys.REWARD].squeeze(-1) + discount * continues * best
     expected = (frames[keys.ACTION] - target).square().mean()
     torch.testing.assert_close(agent.update(frames)["loss"], expected)
 

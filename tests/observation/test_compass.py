@@ -71,18 +71,18 @@ class PlainCompass:
         return steps
 
     def ways(self, goals: set[Place], rivals: list[Place]) -> list[float]:
-        mine = self.walk(self.centre, goals)
-        theirs = [self.walk(rival, goals) for rival in rivals]
+        own = self.walk(self.centre, goals)
+        of_rivals = [self.walk(rival, goals) for rival in rivals]
         left = {
             goal
             for goal in goals
-            if mine.get(goal, 0) > 0
-            and all(mine[goal] <= walk.get(goal, mine[goal]) for walk in theirs)
+            if own.get(goal, 0) > 0
+            and all(own[goal] <= walk.get(goal, own[goal]) for walk in of_rivals)
         }
         if not left:
             return [0.0] * 4 + [self.far(None)]
-        nearest = min(mine[goal] for goal in left)
-        targets = {goal for goal in left if mine[goal] == nearest}
+        nearest = min(own[goal] for goal in left)
+        targets = {goal for goal in left if own[goal] == nearest}
         shown = []
         for action in range(4):
             beside = neighbour(self.centre, action)

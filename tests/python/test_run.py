@@ -139,8 +139,8 @@ def test_a_replay_is_the_runs_own_or_that_of_the_settings(run: Run) -> None:
     before = own.read_bytes()
     other = run.replay(max_steps=3)
     assert other.parent == RUNS / "figures" and other.read_bytes()[:3] == b"GIF"
-    asked = run.replay("here.gif", max_steps=3)
-    assert asked == Path("here.gif") and asked.read_bytes() == other.read_bytes()
+    chosen = run.replay("here.gif", max_steps=3)
+    assert chosen == Path("here.gif") and chosen.read_bytes() == other.read_bytes()
     assert own.read_bytes() == before
 
 

@@ -71,21 +71,21 @@ def test_first_steps(rows: int, cols: int, robots: int, maps: bool, seed: int) -
     rivals = torch.rand((2, robots, robots), generator=generator) > 0.4
     rivals &= ~torch.eye(robots, dtype=torch.bool)
     ways, lengths = first_steps(passable, goals, start, others, rivals)
-    for mine, other in zip(
+    for fast, plain in zip(
         (ways, lengths), flood_first_steps(passable, goals, start, others, rivals), strict=True
     ):
-        assert torch.equal(mine, other)
+        assert torch.equal(fast, plain)
     for env in range(2):
         for robot in range(robots):
             which = robot if maps else 0
             floor, aims = passable[env, which], goals[env, which]
             begin = divmod(int(start[env, robot]), cols)
-            theirs = [
+            of_rivals = [
                 divmod(int(others[env, other]), cols)
                 for other in range(robots)
                 if rivals[env, robot, other]
             ]
-            expected, length = plain_first_steps(floor, aims, begin, theirs)
+            expected, length = plain_first_steps(floor, aims, begin, of_rivals)
             assert ways[env, robot].tolist() == expected
             assert int(lengths[env, robot]) == length
 
@@ -94,16 +94,16 @@ def plain_first_steps(
     passable: Tensor, goals: Tensor, begin: Place, rivals: list[Place]
 ) -> tuple[list[bool], int]:
     enterable, rows, cols = passable | goals, *passable.shape
-    mine = plain_distance(passable, {begin}, enterable)
-    theirs = [plain_distance(passable, {rival}, enterable) for rival in rivals]
+    own = plain_distance(passable, {begin}, enterable)
+    of_rivals = [plain_distance(passable, {rival}, enterable) for rival in rivals]
     left = [
         goal
         for goal in places(goals)
-        if mine.get(goal, 0) and all(mine[goal] <= walk.get(goal, mine[goal]) for walk in theirs)
+        if own.get(goal, 0) and all(own[goal] <= walk.get(goal, own[goal]) for walk in of_rivals)
     ]
     if not left:
         return [False] * 4, UNREACHABLE
-    length = min(mine[goal] for goal in left)
+    length = min(own[goal] for goal in left)
     ways = []
     for action in range(4):
         row, col = neighbour(begin, action)
@@ -114,7 +114,7 @@ def plain_first_steps(
             walk = {(row, col): 0}
             if is_open[row, col]:
                 walk = plain_distance(is_open, {(row, col)}, enterable)
-            leads = any(walk.get(goal) == length - 1 for goal in left if mine[goal] == length)
+            leads = any(walk.get(goal) == length - 1 for goal in left if own[goal] == length)
         ways.append(leads)
     return ways, length
 
