@@ -74,7 +74,7 @@ class CentralDqn(DeepQ):
 
     The reward is the sum of the robots' own, so `reward=team`; the actions are the 4^n joint ones,
     numbered in base 4 with robot 0 the lowest digit, of which one at random is taken with
-    probability epsilon. There is nobody to talk to, so `comm=none`. The loss stands in
+    probability epsilon. There is no one to communicate with, so `comm=none`. The loss is in
     `DeepQ.loss`; all else as there.
 
     Raises:

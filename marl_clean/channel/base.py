@@ -1,4 +1,4 @@
-"""What becomes of messages between being sent and being heard, whatever the scheme."""
+"""How messages are changed between sender and receiver, whatever the scheme."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -135,6 +135,6 @@ class Channel(nn.Module):
     ) -> Tensor:
         """Return what it carries to the next step.
 
-        `messages` and `edges` are what came to this channel in this step, an entry for each round.
+        `messages` and `edges` are what reached this channel in this step, an entry for each round.
         """
         raise NotImplementedError(f"{type(self).__name__} carries nothing")

@@ -23,7 +23,7 @@ class Lossy(Channel):
         lost with probability loss while good, burst_loss while bad
 
     With burst_start = 0, losses are independent of each other. A lost message is paid for, and
-    nobody knows of it; the reward does not depend on it.
+    no robot notices the loss; the reward does not depend on it.
 
     Source: E. N. Gilbert, "Capacity of a burst-noise channel" (1960); E. O. Elliott (1963).
 

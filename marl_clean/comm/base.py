@@ -55,7 +55,7 @@ class Direct(Delivery):
 
 
 class Talk(NamedTuple):
-    """What came of one step's talk.
+    """The result of one step of communication.
 
     Attributes:
         feature: `[*B, n, out_features]`, what the robots know now.
@@ -80,7 +80,7 @@ class Comm(nn.Module, ABC):
         each round: m_j = speak(state)_j,    state_i = listen(state, the m_j that reached i)_i
         h' = end(state)
 
-    A scheme is what is sent and what is made of it; what becomes of a message before it is heard
+    A scheme is what is sent and how receivers use it; how messages are changed before they arrive
     is a matter of the channel. A robot sends its message to each robot it may talk to, whether or
     not that robot makes use of it, and every round costs: edges x numbers in a message x bits of a
     number.

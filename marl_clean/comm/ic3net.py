@@ -43,7 +43,7 @@ class Ic3Net(HiddenStates):
         each round: h'_i = tanh(x_i + F h_i + C sum over live edges of g_j h_j / (n - 1))
 
     Silence dilutes: the divisor is all other robots, so the result depends on how many there are,
-    also out of reach. Who does not speak pays nothing. The gate learns by straight-through Gumbel
+    also out of reach. A silent robot pays nothing. The gate learns by straight-through Gumbel
     from the receivers' losses, also where it is shut.
 
     Source: arXiv 1812.09755, a value-based port: there the gate is an action of policy gradients,

@@ -95,7 +95,7 @@ class CleaningEnv(Compiling):
         compile: compile the pure parts of a step (some 30 s once, several times faster after);
             TorchRL takes this argument from every env and calls `compile()`.
         house_order: whether episodes draw their house, or env i always has house i.
-        contact: who is in contact, for private and merged maps: a topology's `contact`.
+        contact: returns which robots are in contact, for private and merged maps: a topology's.
         first_env: index of the first world: env i of 64 equals a single env with `first_env=i`.
         seed: the seed of everything drawn.
         device: where the tensors live.
@@ -131,7 +131,7 @@ class CleaningEnv(Compiling):
         if furniture_moves_before_start and rules.knowledge is not Knowledge.STALE:
             raise BadInput(
                 f"env.furniture_moves_before_start={furniture_moves_before_start}: needs"
-                f" env.knowledge=stale, not {rules.knowledge}; nobody remembers another house"
+                f" env.knowledge=stale, not {rules.knowledge}; no robot remembers another house"
             )
         self.n_agents = n_agents
         self.num_envs = num_envs

@@ -108,7 +108,7 @@ class Late(Later):
 
 
 class Open(Channel):
-    """Hear everybody, in contact or not."""
+    """Hear all robots, in contact or not."""
 
     def carry(
         self, message: Message, edges: Edges, round_index: int, step: Step
@@ -118,7 +118,7 @@ class Open(Channel):
 
 
 class Shut(Channel):
-    """Hear nobody."""
+    """Hear no robot."""
 
     def carry(
         self, message: Message, edges: Edges, round_index: int, step: Step

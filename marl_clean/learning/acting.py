@@ -24,7 +24,7 @@ def entries(network: RobotsNetwork, frame: TensorDictBase) -> Entries:
 
     Raises:
         BadInput: the frame lacks some of it; what is carried from step to step must come from an
-            env that lets episodes begin with it, for of a loop that lost it nobody would know.
+            env that starts episodes with it, since its loss in a loop would go unnoticed.
     """
     seen = {key: frame.get(key) for key in network.sees}
     if any(entry is None for entry in seen.values()):

@@ -16,7 +16,7 @@ from marl_clean.errors import BadInput
 from marl_clean.learning.schedules import Discount
 
 Count = int
-"""Of robots or actions; handed over by whoever builds the learner, so never a config key."""
+"""Of robots or actions; passed by the code that builds the learner, so never a config key."""
 Channels = Mapping[str, Channel]
 """What messages cross, the first nearest to the sender; handed over likewise."""
 

@@ -45,7 +45,7 @@ class Stacked(Delivery):
     ) -> None:
         self.channels = channels
         self.steps = [Step(seed, state, gated) for state in states]
-        self.messages: list[list[Tensor]] = [[] for _ in channels]  # what came to each, by round
+        self.messages: list[list[Tensor]] = [[] for _ in channels]  # what reached each, by round
         self.edges: list[list[Tensor]] = [[] for _ in channels]
         self.sent = adjacency
         for channel in channels:

@@ -229,10 +229,10 @@ class Ppo(Agent):
         return frames.exclude("next", keys.STATE_VALUE)
 
     def _value_(self, frames: TensorDictBase) -> None:
-        """Value frames `[env, time]` and what is behind them, in place.
+        """Value frames `[env, time]` and their next frames, in place.
 
-        What is behind a frame is the next frame, but for episodes' and the block's last ones. A
-        critic's memory goes on from the block before.
+        A frame's next frame is the following one, except at the ends of episodes and the block. A
+        critic's memory continues from the previous block.
         """
         critic, last = self.critic, acting.last_frames(frames)
         behind = frames["next"][last]

@@ -66,7 +66,7 @@ def fill(
     height, width = record.shape[2] - 2 * margin + 2, record.shape[3] - 2 * margin + 2
     known = blank(height, width)
     others = np.empty(robots, np.int32)
-    nobody = np.zeros(robots, np.bool_)
+    no_rivals = np.zeros(robots, np.bool_)
     for env in range(envs):
         size = rows[env], cols[env]
         for robot in range(robots):
@@ -85,7 +85,7 @@ def fill(
             write_neighbours(here, at, known, start, view_size)
             write_others(here, at + 13, position[env], place, sees, view_size)
             write_first_steps(here[at + 17 :], known, known.unknown, start, others, sees)
-            write_first_steps(here[at + 22 :], known, known.onward, start, others, nobody)
+            write_first_steps(here[at + 22 :], known, known.onward, start, others, no_rivals)
 
 
 @machine_code

@@ -253,5 +253,5 @@ def _read(path: Path) -> Checkpoint:
         tree = _decode(state["tree"], tensors)
         return Checkpoint(int(state["frames"]), dict(state["notes"]), tree)
     except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
-        # A valid manifest does not mean that somebody else's file is a checkpoint.
+        # A valid manifest does not mean that an untrusted file is a checkpoint.
         raise Damaged(f"not a checkpoint of ours, {type(error).__name__}") from error

@@ -140,7 +140,7 @@ def rounds_reach_as_many_hops_and_no_further(make: Maker) -> None:
 
 
 def without_live_edge_the_others_may_be_anyone_or_missing(make: Maker) -> None:
-    """A robot that nobody reaches knows what it would know alone in the world."""
+    """A robot that no other reaches knows what it would know alone in the world."""
     comm = make_scheme(make)
     feature, live, rank = draw(3, n_agents=4, share=0.0)
     alone = comm(feature[:, :1], live[:, :1, :1], rank[:, :1, :1]).feature
@@ -196,7 +196,7 @@ def what_a_robot_sends_depends_on_nobody_out_of_reach(make: Maker) -> None:
 
 
 def robots_out_of_reach_change_nothing_unless_it_dilutes(make: Maker) -> None:
-    """Adding robots that nobody reaches changes nothing, unless the scheme says that it dilutes."""
+    """Adding robots that no other reaches changes nothing, unless the scheme says it dilutes."""
     comm = make_scheme(make)
     feature, live, rank = draw(3, n_agents=5, share=0.7)
     live[:, 2], live[:, :, 2] = False, False

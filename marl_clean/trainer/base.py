@@ -159,7 +159,7 @@ class TrainingLoop(ABC):
         self.best = Best(settings.select_by, checkpoints)
 
     def collect(self) -> TensorDictBase:
-        """Collect a block of frames `[env, time]` with exploration, and count what came of it."""
+        """Collect a block of frames `[env, time]` with exploration, and update the tally."""
         self.warm_start.at(self.frames)
         block = next(self.blocks)
         self.frames += block.numel()

@@ -1,4 +1,4 @@
-"""Who moves where, and what a step does to the map (paper §3.2).
+"""The robots' moves, and what a step changes in the map (paper §3.2).
 
 Matrices are written by `index_put_`, which compiled code does in place too; `scatter_` would copy
 them.
@@ -55,7 +55,7 @@ def advance_(
 ) -> Outcome:
     """Move all robots at once, in place, and value what they do against the map before the step.
 
-    A robot moves when its target is free, nobody stood there when the step began, and no
+    A robot moves when its target is free, no robot stood there when the step began, and no
     lower-numbered robot enters it in this step. Of several robots with one free, empty target
     the lowest-numbered always gets it, so the last condition is: no lower number has this target.
     A bump in `unnoticed` counts as one, but writes nothing and pays nothing.

@@ -1,4 +1,4 @@
-"""Furniture that somebody moves while the robots clean (paper §3.1)."""
+"""Furniture that is moved while the robots clean (paper §3.1)."""
 
 import torch
 from jaxtyping import Bool, Int

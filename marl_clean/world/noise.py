@@ -1,4 +1,4 @@
-"""What goes wrong with sensing: bumps that nobody notices, robots that mistake their place.
+"""Errors of sensing: bumps that go unnoticed, robots that mistake their place.
 
 Both are drawn anew for every step and robot, as pure functions of (seed, env index, episode,
 step, robot).
@@ -23,10 +23,10 @@ def unnoticed_bumps(
 def believed_position(
     state: State, env_index: Int[Tensor, " env"], seed: Seed, probability: float
 ) -> Int[Tensor, "env agent 2"]:
-    """Return where each robot thinks it is: with `probability` one cell off.
+    """Return the place that each robot takes for its own: with `probability` one cell off.
 
-    Up, right, down or left, each as likely. Nobody thinks that it is outside the house: at its
-    edge some of these are the true place.
+    Up, right, down or left, each as likely. It is never outside the house: at its edge some of
+    these are the true place.
     """
     words = (seed, *words_of_robots(state, env_index, Purpose.PLACE))
     direction = random_below(4, *words, 1)

@@ -1,7 +1,7 @@
 """Random draws that are pure functions of what they are for.
 
 A draw depends on (seed, env index, episode, purpose, counter) and on nothing else, so env i of 64
-plays what env i plays alone, a partial reset disturbs nobody, and there is no generator to save.
+draws what env i draws alone, a partial reset disturbs no other, and there is no generator to save.
 """
 
 from enum import IntEnum

@@ -44,7 +44,7 @@ def cleaning_term(
 def learnt(
     held: Float[Tensor, "env agent"], moved: Flag, bumped: Flag, rules: Rules
 ) -> tuple[Flag, Flag]:
-    """Tell who enters what was not held available, and who bumps what was not held blocked."""
+    """Return which robots enter cells not known as available, and which bumps are discoveries."""
     wall_is_news = held >= 0 if rules.obstacles is ObstaclePay.FIRST else torch.ones_like(bumped)
     return moved & (held <= 0), bumped & wall_is_news
 

@@ -31,7 +31,7 @@ def wide_crop(
     """Return the square of the map around each robot, however far it reaches over the matrix.
 
     As `sensing.crop`, for views wider than the margin: cell by cell, and what lies outside the
-    matrix is read from its edge. Needs `rules.margin >= 2`, so that nobody ever writes there.
+    matrix is read from its edge. Needs `rules.margin >= 2`, so that this edge is never written.
     """
     num_envs, num_maps, height, width = record.shape
     reach = torch.arange(side, device=record.device) - side // 2 + rules.margin

@@ -30,7 +30,7 @@ class HouseTensors(NamedTuple):
 
 
 class FurnitureMoves(NamedTuple):
-    """How often somebody moves furniture."""
+    """How often furniture is moved."""
 
     during_episode: int = 0
     before_start: int = 0  # after the robots memorised the house (`knowledge=stale`)

@@ -21,7 +21,7 @@ from marl_clean.world.state import State
 Pay = Callable[
     [Float[Tensor, "env agent 1"], Bool[Tensor, "env agent agent"]], Float[Tensor, "env agent 1"]
 ]
-"""What each robot is paid, from what each earned and who was in contact before the step."""
+"""What each robot is paid, from what all earned and the contacts before the step."""
 Entries = dict[str | tuple[str, str], Tensor]
 """What is observed, by its keys."""
 Read = Callable[[State, Setup], Entries]
