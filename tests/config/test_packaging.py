@@ -58,7 +58,7 @@ def test_the_wheel_carries_the_trained_runs(built: Path) -> None:
         for path in (site / "marl_clean" / "weights").rglob("*")
         if path.is_file()
     }
-    assert held == ours and len({path.parts[1] for path in ours}) == 2
+    assert held == ours and len({path.parts[1] for path in ours}) == 3
     arguments = ["evaluate", "checkpoint=approach_2_frontier", "evaluation.houses=1"]
     program = f"import sys; sys.path.insert(0, {str(site)!r}); import marl_clean.cli as c; "
     program += f"assert c.__file__.startswith({str(site)!r}); sys.exit(c.main({arguments!r}))"

@@ -12,6 +12,7 @@ from marl_clean.errors import BadInput
 from marl_clean.storage.manifest import weights_sha256
 
 HASHES = {
+    "any_house": "ac133b7baf4db35858080cd4400df1de052801a162c35fb05601ed237243c999",
     "approach_2_frontier": "0513bbccaf27501a7d877b4edbf81b4f8b0260a64e6ba10b30800f70342b17b3",
     "longer_horizon": "6f2e8129376a9e507e204acfa0479b37d7d09e6d760471d1473855200f93bf78",
 }
@@ -51,4 +52,4 @@ def test_a_misspelt_run_is_refused_with_the_nearest_name() -> None:
 
 
 def test_they_are_listed_last() -> None:
-    assert lines()[-3:] == ["checkpoint=", "  approach_2_frontier", "  longer_horizon"]
+    assert lines()[-4:] == ["checkpoint=", *(f"  {name}" for name in sorted(HASHES))]
