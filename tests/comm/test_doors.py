@@ -43,8 +43,8 @@ def test_policies_that_draw_learn_to_talk_too(tmp_path, learner, comm):
 
 
 def test_lambda_returns_of_the_last_block_teach_to_talk_too(tmp_path):
-    agent = make_learner("pqn", "plan", gamma=0.0, lr=2e-3, lr_end=2e-3, annealing_fraction=0.6)
-    train_on_policy(agent, tmp_path, hold=1)
+    agent = make_learner("pqn", "plan", gamma=0.0, lr=3e-3, lr_end=3e-3, annealing_fraction=0.6)
+    train_on_policy(agent, tmp_path, hold=1, worlds=32, frames=8_192)  # more would take more frames
     assert share_right(agent, hold=1) > 0.95
 
 
@@ -73,18 +73,20 @@ def of_off_policy(pace: tuple[int, int, int, float]) -> dict[str, float]:
     return {"gamma": 0.0, "lr": lr, "lr_end": lr, "n_steps": 1, "annealing_fraction": 0.6}
 
 
-def train_on_policy(agent: Agent, folder: Path, hold: int) -> None:
+def train_on_policy(
+    agent: Agent, folder: Path, hold: int, worlds: int = WORLDS, frames: int = FRAMES
+) -> None:
     trainer = OnPolicy(
-        total_frames=FRAMES,
-        frames_per_batch=3 * WORLDS,  # so that rows begin while a message is under way, too
+        total_frames=frames,
+        frames_per_batch=3 * worlds,  # so that rows begin while a message is under way, too
         epochs=4,
-        minibatch_frames=3 * WORLDS // 4,
-        log_interval_frames=FRAMES,
-        eval_interval_frames=FRAMES,
-        checkpoint_interval_frames=FRAMES,
+        minibatch_frames=3 * worlds // 4,
+        log_interval_frames=frames,
+        eval_interval_frames=frames,
+        checkpoint_interval_frames=frames,
         select_by="return",
     )
-    run(trainer, agent, folder, doors_for(agent, hold, WORLDS))
+    run(trainer, agent, folder, doors_for(agent, hold, worlds))
 
 
 def run(trainer: Trainer, agent: Agent, folder: Path, env: TransformedEnv) -> None:
