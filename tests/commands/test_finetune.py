@@ -208,7 +208,7 @@ def test_a_killed_run_resumes_from_its_state_and_not_from_the_start(
 REFUSED = {
     "checkpoint=befor": "did you mean before?",
     "checkpoint=empty": "has no whole weights yet",
-    "experiment=finetune": "there is no such run; runs: approach_2_frontier, before, ",
+    "experiment=finetune": "there is no such run; runs: any_house, approach_2_frontier, before, ",
     "experiment=finetune checkpoint=before": "house.path: null",
     "experiment=finetune checkpoint=before house.path=flat.yaml": "no file 'flat.yaml'",
     "experiment=paper_proximity checkpoint=before": (
