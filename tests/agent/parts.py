@@ -7,12 +7,12 @@ from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torch import Tensor
 
-from marl_clean import keys
+from marl_clean import build, keys
 from marl_clean.agent.iql import Iql
-from marl_clean.build import make_comm as build_comm
 from marl_clean.comm.base import Comm
 from marl_clean.config import levels
 from marl_clean.config.class_source import constant
+from marl_clean.config.compose import compose_config
 from marl_clean.config.schema import instantiate
 from marl_clean.encoder.cnn import Cnn
 from marl_clean.learning.agent import Agent
@@ -71,7 +71,7 @@ def make_comm(level: str, encoder: Cnn, side: int = SIDE) -> Comm:
     section = OmegaConf.merge(
         OmegaConf.load(levels.conf_folder() / "comm" / f"{level}.yaml"), SMALL.get(level, {})
     )
-    return build_comm(section, encoder.out_features, torch.Size([1, side, side]))
+    return build.make_comm(section, encoder.out_features, torch.Size([1, side, side]))
 
 
 def make_agent(comm: str = "plan", side: int = SIDE, encoder: Cnn | None = None, **changes) -> Iql:
@@ -133,3 +133,16 @@ def transitions(count: int, n_agents: int = 2, seed: int = 0) -> TensorDict:
         },
         [count],
     )
+
+
+def collected(settings: Sequence[str], steps: int = 12) -> tuple[Agent, TensorDict]:
+    """Return a learner of these settings, and a block that it collected `[env, time]`."""
+    config = compose_config(settings)
+    torch.manual_seed(0)
+    env = build.make_env(config)
+    agent = build.make_agent(config, env)
+    env = build.ready_for(agent, env)
+    with torch.no_grad():
+        policy = agent.exploration(env.full_action_spec)
+        block = env.rollout(steps, policy, break_when_any_done=False).contiguous()
+    return agent, block

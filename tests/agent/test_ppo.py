@@ -16,23 +16,15 @@ from marl_clean.learning.acting import entries
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.testing import agent as contract
 from marl_clean.testing import check_agent
-from tests.agent.parts import STATE_SHAPE, make_learner, transitions
+from tests.agent.parts import STATE_SHAPE, collected, make_learner, transitions
 
 SMALL = (*contract.SMALL, "agent=ippo", "trainer=on_policy", "agent.precision=float32")
 SIZES = ("house=open", "house.rows=[3,4]", "house.cols=[3,5]")
 
 
-def played(*settings: str, steps: int = 12):
+def played(*settings: str):
     """A learner, and a block that it collected, of episodes of at most 5 steps."""
-    config = compose_config([*SMALL, *SIZES, *settings])
-    torch.manual_seed(0)
-    env = build.make_env(config)
-    agent = build.make_agent(config, env)
-    env = build.ready_for(agent, env)
-    with torch.no_grad():
-        policy = agent.exploration(env.full_action_spec)
-        block = env.rollout(steps, policy, break_when_any_done=False).contiguous()
-    return agent, block
+    return collected([*SMALL, *SIZES, *settings])
 
 
 def test_the_bonus_falls_linearly_and_is_in_the_loss() -> None:

@@ -5,12 +5,11 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from marl_clean import build, keys
+from marl_clean import keys
 from marl_clean.agent.pqn import Pqn
-from marl_clean.config.compose import compose_config
 from marl_clean.learning.acting import entries
 from marl_clean.testing import agent as contract
-from tests.agent.parts import make_learner, transitions
+from tests.agent.parts import collected, make_learner, transitions
 
 SMALL = (
     *contract.SMALL,
@@ -29,16 +28,10 @@ CARRYING = {
 }
 
 
-def played(*settings: str, steps: int = 12) -> tuple[Pqn, TensorDict]:
+def played(*settings: str) -> tuple[Pqn, TensorDict]:
     """A learner, and a block that it collected: episodes of at most 5 steps, some finished."""
-    config = compose_config([*SMALL, *settings])
-    torch.manual_seed(0)
-    env = build.make_env(config)
-    agent = build.make_agent(config, env)
-    env = build.ready_for(agent, env)
-    with torch.no_grad():
-        policy = agent.exploration(env.full_action_spec)
-        block = env.rollout(steps, policy, break_when_any_done=False).contiguous()
+    agent, block = collected([*SMALL, *settings])
+    assert isinstance(agent, Pqn)
     assert block["next", keys.DONE].any(1).all() and not block["next", keys.DONE][:, -1].all()
     return agent, block
 

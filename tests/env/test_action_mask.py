@@ -10,8 +10,8 @@ from marl_clean import build, keys
 from marl_clean.config.compose import compose_config
 from marl_clean.config.fitting import check_fit
 from marl_clean.env.action_mask import KnownWalls
-from marl_clean.env.transformed import TransformedWorlds
 from marl_clean.errors import BadInput
+from tests.env.resets import count_short_resets
 from tests.world.play import env_of, start
 from tests.world.strategies import Case, cases
 
@@ -59,14 +59,7 @@ def test_the_spec_holds_and_steps_and_resets_are_torchrls(
     assert env.observation_spec[keys.ACTION_MASK].dtype == torch.bool
     env.set_seed(0)
     reference.__class__ = TransformedEnv
-    begun: list[int] = []
-    direct = TransformedWorlds.begin_anew
-
-    def noted(self, carried, done, rows) -> None:
-        begun.append(len(rows))
-        direct(self, carried, done, rows)
-
-    monkeypatch.setattr(TransformedWorlds, "begin_anew", noted)
+    begun = count_short_resets(monkeypatch)
     mine, theirs = env.reset(), reference.reset()
     generator = torch.Generator().manual_seed(1)
     closed = 0

@@ -11,6 +11,7 @@ from marl_clean import build, keys
 from marl_clean.config.compose import compose_config
 from marl_clean.config.levels import rooms
 from marl_clean.env.transformed import TransformedWorlds
+from tests.env.resets import count_short_resets
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -72,14 +73,7 @@ def test_steps_and_resets_are_torchrls(case: str, monkeypatch: pytest.MonkeyPatc
     (env, carries), (reference, _) = make(CASES[case]), make(CASES[case])
     assert type(env) is TransformedWorlds
     reference.__class__ = TransformedEnv
-    begun: list[int] = []
-    direct = TransformedWorlds.begin_anew
-
-    def noted(self, carried, done, rows) -> None:
-        begun.append(len(rows))
-        direct(self, carried, done, rows)
-
-    monkeypatch.setattr(TransformedWorlds, "begin_anew", noted)
+    begun = count_short_resets(monkeypatch)
     mine, theirs = env.reset(), reference.reset()
     assert_same(mine, theirs)
     generator = torch.Generator().manual_seed(1)

@@ -9,14 +9,13 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from torchrl.envs import Compose, TransformedEnv
-from torchrl.envs.utils import step_mdp
 
 from marl_clean import keys
 from marl_clean.observation.compass import Compass
 from marl_clean.settings import Memory
 from tests.observation.plain import believed
 from tests.reference import Place, World, neighbour, neighbours
-from tests.world.play import env_of, start, topology_of
+from tests.world.play import env_of, follow, topology_of
 from tests.world.strategies import Case, cases
 
 STEPS = 12
@@ -188,21 +187,11 @@ def assert_compass(drawn: list[Case], side: int, noise: float) -> None:
     base = env_of(drawn).base_env
     compass = Compass(side, noise)
     env = TransformedEnv(base, Compose(topology_of(drawn[0].settings), compass))
-    worlds = [case.world(index) for index, case in enumerate(drawn)]
-    playing = [True] * len(drawn)
-    tensordict = start(env, drawn)
-    for step in range(min(STEPS, *(len(case.actions) for case in drawn))):
-        shown = tensordict[keys.OBSERVATION]
+    for frame, worlds in follow(env, drawn, STEPS):
+        shown = frame[keys.OBSERVATION]
         by_tensors = compass.by_tensors(base.state, base.setup)
         torch.testing.assert_close(by_tensors, shown, **CLOSE)
-        for index, world in enumerate(worlds):
-            for robot in range(world.n_agents if playing[index] else 0):
+        for index, world in worlds:
+            for robot in range(world.n_agents):
                 expected = PlainCompass(world, robot, noise, index).numbers(side)
                 torch.testing.assert_close(shown[index, robot], torch.tensor(expected), **CLOSE)
-        actions = [case.actions[step] for case in drawn]
-        tensordict[keys.ACTION] = torch.tensor(actions)
-        tensordict = step_mdp(env.step(tensordict))
-        for index, world in enumerate(worlds):
-            if playing[index]:
-                outcome = world.step(actions[index])
-                playing[index] = not (outcome.terminated or outcome.truncated)

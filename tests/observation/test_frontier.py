@@ -7,13 +7,12 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from torchrl.envs import Compose, TransformedEnv
-from torchrl.envs.utils import step_mdp
 
 from marl_clean import keys
 from marl_clean.observation.frontier import Frontier
 from tests import reference
 from tests.observation.plain import believed
-from tests.world.play import env_of, start, topology_of
+from tests.world.play import env_of, follow, topology_of
 from tests.world.strategies import Case, cases
 
 SIDE = 5
@@ -80,23 +79,13 @@ def test_a_larger_house_beside_it_changes_no_plane(data: st.DataObject) -> None:
 def assert_plane(drawn: list[Case], side: int, noise: float) -> None:
     base = env_of(drawn).base_env
     env = TransformedEnv(base, Compose(topology_of(drawn[0].settings), Frontier(side, noise)))
-    worlds = [case.world(index) for index, case in enumerate(drawn)]
-    playing = [True] * len(drawn)
-    tensordict = start(env, drawn)
-    for step in range(min(STEPS, *(len(case.actions) for case in drawn))):
-        for index, world in enumerate(worlds):
-            for robot in range(world.n_agents if playing[index] else 0):
+    for frame, worlds in follow(env, drawn, STEPS):
+        for index, world in worlds:
+            for robot in range(world.n_agents):
                 centre = believed(world, robot, noise, index)
-                plane = tensordict[keys.OBSERVATION][index, robot, 1]
+                plane = frame[keys.OBSERVATION][index, robot, 1]
                 expected = expected_plane(world, robot, centre, side)
                 torch.testing.assert_close(plane, expected, atol=1e-6, rtol=0)
-        actions = [case.actions[step] for case in drawn]
-        tensordict[keys.ACTION] = torch.tensor(actions)
-        tensordict = step_mdp(env.step(tensordict))
-        for index, world in enumerate(worlds):
-            if playing[index]:
-                outcome = world.step(actions[index])
-                playing[index] = not (outcome.terminated or outcome.truncated)
 
 
 def test_the_first_channel_is_the_crop() -> None:

@@ -10,6 +10,7 @@ from marl_clean.logger.csv import Csv
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer._collecting import CarriedCollector
 from marl_clean.trainer.off_policy import OffPolicy
+from tests.trainer.killing import Killed, kill_after
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -30,10 +31,6 @@ SETTINGS = [
 ]
 
 
-class Killed(BaseException):
-    """Ends a run without a chance to save, as kill -9 does."""
-
-
 def train(folder, overrides, die_after: int | None = None) -> None:
     folder.mkdir(exist_ok=True)
     cfg = compose_config([*SETTINGS, *overrides])
@@ -44,16 +41,7 @@ def train(folder, overrides, die_after: int | None = None) -> None:
     comm = build.make_comm(cfg.comm, encoder.out_features, shape)
     agent = instantiate(cfg.agent, encoder=encoder, comm=comm)
     if die_after is not None:
-        step, played = env.base_env.step_worlds, 0
-
-        def dying(*arguments):
-            nonlocal played
-            played += 1
-            if played > die_after:
-                raise Killed
-            return step(*arguments)
-
-        env.base_env.step_worlds = dying
+        kill_after(env, die_after)
     trainer = instantiate(cfg.trainer)
     assert isinstance(trainer, OffPolicy)
     trainer.train(env, agent, lambda policy: {"T_100": 1.0}, [Csv(folder)], folder)

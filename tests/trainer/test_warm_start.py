@@ -16,6 +16,7 @@ from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer._warm_start import WarmStart
 from marl_clean.trainer.off_policy import OffPolicy
 from tests.agent.parts import LEARNERS, make_agent
+from tests.trainer.killing import Killed, kill_after
 from tests.trainer.probe import Probe
 from tests.trainer.test_off_policy import SETTINGS
 
@@ -172,10 +173,6 @@ def test_rotated_frames_have_rotated_demonstrations() -> None:
     assert not torch.equal(rotated[keys.ACTION], learnt[keys.ACTION])
 
 
-class Killed(BaseException):
-    """Ends a run without a chance to save, as kill -9 does."""
-
-
 def train(folder, overrides: list[str], die_after: int | None = None) -> None:
     folder.mkdir(exist_ok=True)
     cfg = compose_config(overrides)
@@ -184,16 +181,7 @@ def train(folder, overrides: list[str], die_after: int | None = None) -> None:
     agent = build.make_agent(cfg, env)
     env = build.ready_for(agent, env)
     if die_after is not None:
-        step, played = env.base_env.step_worlds, 0
-
-        def dying(*arguments):
-            nonlocal played
-            played += 1
-            if played > die_after:
-                raise Killed
-            return step(*arguments)
-
-        env.base_env.step_worlds = dying
+        kill_after(env, die_after)
     instantiate(cfg.trainer).train(env, agent, lambda policy: {"T_100": 1.0}, [Csv(folder)], folder)
 
 

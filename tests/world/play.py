@@ -1,10 +1,14 @@
 """The tensor world set up as a drawn case says, for comparison with the plain reference."""
 
+from collections.abc import Iterator
+
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs.utils import step_mdp
 
+from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.env.shaping import Potential, Shaping
 from marl_clean.house.base import Houses
@@ -21,7 +25,7 @@ from marl_clean.topology.view import View
 from marl_clean.world.dynamics import touch_
 from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import MEMORISED_BLOCKED, MEMORISED_FREE, merge_maps
-from tests.reference import Settings
+from tests.reference import Settings, World
 from tests.world.strategies import Case
 
 REWARDS = {"individual": Individual, "neighbours": Neighbours, "team": Team}
@@ -154,3 +158,23 @@ def believe(base: CleaningEnv, cases: list[Case]) -> None:
         touch_(state, base.rules)
     if base.rules.memory is Memory.MERGED:
         state.record = merge_maps(state.record, base.setup.contact(state, base.rules))
+
+
+def follow(
+    env: TransformedEnv, cases: list[Case], most_steps: int
+) -> Iterator[tuple[TensorDictBase, list[tuple[int, World]]]]:
+    """Step env and plain worlds side by side; yield each frame and the worlds still in episodes.
+
+    A world comes with its index in the env.
+    """
+    worlds = dict(enumerate(case.world(index) for index, case in enumerate(cases)))
+    tensordict = start(env, cases)
+    for step in range(min(most_steps, *(len(case.actions) for case in cases))):
+        yield tensordict, list(worlds.items())
+        actions = [case.actions[step] for case in cases]
+        tensordict[keys.ACTION] = torch.tensor(actions)
+        tensordict = step_mdp(env.step(tensordict))
+        outcomes = {index: world.step(actions[index]) for index, world in worlds.items()}
+        for index, outcome in outcomes.items():
+            if outcome.terminated or outcome.truncated:
+                del worlds[index]
