@@ -131,10 +131,8 @@ class Pqn(Agent):
     def _acting(
         self, action_spec: Composite, *instead: TensorDictModuleBase
     ) -> TensorDictSequential:
-        greedy = Greedy(self.network, self.n_agents, records_messages=False).eval()
-        mask = keys.ACTION_MASK if self.network.mask_walls else None
-        coin = self.exploring.coin(action_spec, keys.ACTION, mask)
-        return TensorDictSequential(greedy, *instead, coin)
+        greedy = Greedy(self.network, self.n_agents, records_messages=False)
+        return acting.epsilon_greedy(greedy, self.exploring, action_spec, *instead)
 
     def measures(self) -> dict[str, float]:
         return {"epsilon": self.exploring.now, **self.moving_gamma(self.discount)}

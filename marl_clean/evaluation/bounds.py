@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Int
 from torch import Tensor
 
+from marl_clean.world import searches
+
 Count = TypeVar("Count", int, np.ndarray, Tensor)  # one house, or a vector of houses
 
 
@@ -76,20 +78,11 @@ def count_border(free: Bool[np.ndarray, "house row col"]) -> Int[np.ndarray, " h
 def walking_distance(
     free: Bool[np.ndarray, "house row col"], starts: Int[np.ndarray, "house robot 2"]
 ) -> Int[np.ndarray, "house row col"]:
-    """Steps from the nearest start to each cell; -1 where no robot can reach it.
-
-    A flood of all houses at once: as many passes as the longest walk has steps.
-    """
-    distance = np.full(free.shape, -1, dtype=np.int64)
-    house = np.arange(len(free))[:, None]
-    front = np.zeros_like(free)
-    front[house, starts[..., 0], starts[..., 1]] = True
-    step = 0
-    while front.any():
-        distance[front] = step
-        front = _spread(front) & free & (distance < 0)
-        step += 1
-    return distance
+    """Steps from the nearest start to each cell; -1 where no robot can reach it."""
+    sources = np.zeros_like(free)
+    sources[np.arange(len(free))[:, None], starts[..., 0], starts[..., 1]] = True
+    steps = searches.distances(free, sources)
+    return np.where(steps == searches.UNREACHABLE, -1, steps).astype(np.int64)
 
 
 def _spread(cells: Bool[np.ndarray, "house row col"]) -> Bool[np.ndarray, "house row col"]:

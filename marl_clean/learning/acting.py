@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import torch
 from jaxtyping import Bool, Float, Int
 from tensordict import NestedKey, TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
@@ -14,6 +14,7 @@ from marl_clean import keys
 from marl_clean.comm.base import Talk
 from marl_clean.errors import BadInput
 from marl_clean.learning.networks import Entries, RobotsNetwork
+from marl_clean.learning.schedules import Epsilon
 from marl_clean.world.random import Purpose, random_bits
 
 OF_MESSAGES = (keys.MESSAGE, keys.MESSAGE_EDGES, keys.MESSAGE_BITS)
@@ -193,3 +194,15 @@ class Greedy(TensorDictModuleBase):
     def make_tensordict_primer(self) -> TensorDictPrimer:
         """Return the transform by which an env begins episodes with what the network carries."""
         return primer(self.network, self.n_agents)
+
+
+def epsilon_greedy(
+    greedy: Greedy, exploring: Epsilon, action_spec: Composite, *instead: TensorDictModuleBase
+) -> TensorDictSequential:
+    """Return the policy in which each robot draws a random action with probability epsilon.
+
+    Its other actions are the greedy ones, or those that the modules `instead` write over them.
+    """
+    mask = keys.ACTION_MASK if greedy.network.mask_walls else None
+    coin = exploring.coin(action_spec, keys.ACTION, mask)
+    return TensorDictSequential(greedy.eval(), *instead, coin)

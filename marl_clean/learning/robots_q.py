@@ -69,10 +69,8 @@ class RobotsQ(DeepQ):
     def _acting(
         self, action_spec: Composite, *instead: TensorDictModuleBase
     ) -> TensorDictSequential:
-        greedy = self.make_greedy(records_messages=self.messages == "replayed").eval()
-        mask = keys.ACTION_MASK if self.mask_walls else None
-        coin = self.exploring.coin(action_spec, keys.ACTION, mask)
-        return TensorDictSequential(greedy, *instead, coin)
+        greedy = self.make_greedy(records_messages=self.messages == "replayed")
+        return acting.epsilon_greedy(greedy, self.exploring, action_spec, *instead)
 
     def values(
         self, network: RobotsNetwork, frames: TensorDictBase

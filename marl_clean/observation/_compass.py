@@ -8,7 +8,7 @@ from typing import NamedTuple, no_type_check
 
 import numpy as np
 
-from marl_clean.world._searches import (
+from marl_clean.world.searches import (
     GOAL,
     PASSABLE,
     UNREACHABLE,

@@ -37,8 +37,8 @@ from marl_clean.world.step import Entries
 from marl_clean.world.surroundings import (
     block_shares,
     closer_steps,
+    continues_wall,
     in_squares,
-    likely_wall,
 )
 
 
@@ -131,7 +131,7 @@ class Compass(Observation):
         nearer, own_distance = closer_steps(distance, cell)
         ways, lengths = first_steps(  # both searches as one, which waits half as often
             torch.cat([passable, passable]),
-            torch.cat([unknown, unknown & ~likely_wall(blocked)]),
+            torch.cat([unknown, unknown & ~continues_wall(blocked)]),
             cell.repeat(2, 1),
             others.repeat(2, 1),
             torch.cat([visible, torch.zeros_like(visible)]),

@@ -20,6 +20,7 @@ from marl_clean.planner.base import (
 )
 from marl_clean.settings import Assignment, Ties
 from marl_clean.world.distance import UNREACHABLE, neighbours, walking_distance
+from marl_clean.world.surroundings import walls_beside
 
 
 @final
@@ -125,9 +126,8 @@ def likely_walls(blocked: Grid) -> Grid:
     more, as doors are in line with walls: one known cell on each side 4.9, 5.3 and 4.0 (T_90 of
     one robot 2.5 less), two in line on one side some 50, 30 and 13.
     """
-    once = neighbours(blocked, False)
-    twice = once & torch.stack([neighbours(side, False)[i] for i, side in enumerate(once)])
-    return (twice[0] & twice[2]) | (twice[1] & twice[3])
+    _, next_two = walls_beside(blocked)
+    return (next_two[0] & next_two[2]) | (next_two[1] & next_two[3])
 
 
 def assign_greedily(

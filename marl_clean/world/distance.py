@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from marl_clean.world import _searches
-from marl_clean.world._searches import UNREACHABLE
+from marl_clean.world import searches
+from marl_clean.world.searches import UNREACHABLE
 
 STEPS_BETWEEN_LOOKS = 16  # of a flood: whether it goes on is waited for, where it is on a GPU
 
@@ -44,7 +44,7 @@ def walking_distance(
     passable, sources = torch.broadcast_tensors(passable, sources)
     height, width = passable.shape[-2:]
     grids = (grid.reshape(-1, height, width).numpy() for grid in (passable, sources))
-    return torch.from_numpy(_searches.distances(*grids)).view(passable.shape)
+    return torch.from_numpy(searches.distances(*grids)).view(passable.shape)
 
 
 @torch.compiler.disable
@@ -67,7 +67,7 @@ def first_steps(
         return flood_first_steps(passable, goals, start, others, rivals)
     passable, goals = torch.broadcast_tensors(passable, goals)
     arrays = (each.contiguous().numpy() for each in (passable, goals, start, others, rivals))
-    ways, lengths = _searches.first_steps(*arrays)
+    ways, lengths = searches.first_steps(*arrays)
     return torch.from_numpy(ways), torch.from_numpy(lengths)
 
 

@@ -60,10 +60,19 @@ def closer_steps(
     return torch.stack([distance < own for distance in beside], -1), own
 
 
-def likely_wall(
+def walls_beside(
+    blocked: Bool[Tensor, "env map height width"],
+) -> tuple[Bool[Tensor, "4 env map height width"], Bool[Tensor, "4 env map height width"]]:
+    """Return where the next cell up, right, down, left is blocked, and where the next two are."""
+    next_cell = neighbours(blocked, False)
+    beyond = torch.stack([neighbours(side, False)[i] for i, side in enumerate(next_cell)])
+    return next_cell, next_cell & beyond
+
+
+def continues_wall(
     blocked: Bool[Tensor, "env map height width"],
 ) -> Bool[Tensor, "env map height width"]:
-    """Return which cells continue a wall of two or more known cells, in a row or a column."""
-    once = neighbours(blocked, False)
-    twice = torch.stack([neighbours(side, False)[action] for action, side in enumerate(once)])
-    return (once & twice).any(0) | (once[0] & once[2]) | (once[1] & once[3])
+    """Return which cells lie in line with two known walls, in a row or a column."""
+    next_cell, next_two = walls_beside(blocked)
+    between = (next_cell[0] & next_cell[2]) | (next_cell[1] & next_cell[3])
+    return next_two.any(0) | between
