@@ -47,7 +47,7 @@ class Compass(Observation):
     """Where to go and what is near, in numbers that mean the same in a house of any size.
 
     Adds `("agents", "observation")`, float32 `[*B, n, 5 K^2 + 227]`, all in [-1, 1]. A goal
-    is a cell inside the house's ring that the robot's map does not know, or knows as available
+    is a cell of the house or of its ring that the robot's map does not know, or knows as available
     and not cleaned in this episode (never dirt that came back). In this order:
 
     - K x K cells around the robot, five times: blocked; unknown; cleanness (0.3 + 0.7 exp(-age
