@@ -150,6 +150,14 @@ Range = Annotated[
     BeforeValidator(_two_numbers),
 ]
 Ranges = Annotated[list[Range], Field(min_length=1)]
+MarginSide = Annotated[int, Field(ge=0, le=LARGEST_SIDE)]
+MarginRange = Annotated[
+    list[MarginSide],
+    Field(min_length=2, max_length=2),
+    AfterValidator(_ascending),
+    BeforeValidator(_two_numbers),
+]
+Margins = Annotated[list[MarginRange], Field(min_length=1)]
 Kinds = Annotated[list[Literal["rooms", "single_room", "open"]], Field(min_length=1)]
 
 

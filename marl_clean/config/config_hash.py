@@ -11,6 +11,7 @@ LATER: dict[str, Any] = {
     "weights": None,
     "parameter_budget": None,
     "house.free_colours": None,
+    "house.margins": [[0, 0]],
     "encoder.norm": "none",
     "env.wall_pays": 2.0,
     "env.shaping": 0.0,

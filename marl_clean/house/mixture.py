@@ -1,10 +1,12 @@
 """Houses of many sizes and kinds, and floor plans from files among them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import ClassVar, final
+
+import numpy as np
 
 from marl_clean.errors import BadInput
 from marl_clean.house.base import House, HouseLayout, between, check_range, keep_region, stream
@@ -12,9 +14,10 @@ from marl_clean.house.drawn import SHIPPED, Drawn
 from marl_clean.house.floorplan import FloorPlan
 from marl_clean.house.open import Open
 from marl_clean.house.rooms import Rooms
-from marl_clean.settings import LARGEST_SIDE, Kinds, Probability, Range, Ranges
+from marl_clean.settings import LARGEST_SIDE, Kinds, Margins, Probability, Range, Ranges
 
 CHOICE = -1  # the draw number that picks a seed's part; draws of houses count from 0
+MARGINS = -2  # the draw number that decides what lies around it
 
 
 @final
@@ -25,9 +28,11 @@ class Mixture(House):
     With probability `plans_share` one of `plans`, uniformly; else one of `sides` and one of
     `kinds`, uniformly over the entries of each list, so that an entry listed twice comes twice as
     often. `rooms` are those of `house=rooms`, `single_room` the same without dividing walls, `open`
-    floors without walls. A `.txt` among `plans` is read as `house=drawn` reads it, any other file
-    as `house=floorplan` does; a shipped name is the drawn one, whose furniture can move. The part
-    depends on the seed alone, so that a redraw stays within its part.
+    floors without walls. Around a generated house lie as many blocked cells on each side as one of
+    `margins`, picked too, allows, each side drawn: as around the rooms of a scanned plan. A `.txt`
+    among `plans` is read as `house=drawn` reads it, any other file as `house=floorplan` does; a
+    shipped name is the drawn one, whose furniture can move. The part depends on the seed alone, so
+    that a redraw stays within its part.
 
     Paper §3.4 (thousands of different environments, which vary on sizes and room plans).
     Raises BadInput for an invalid range, or a floor plan that cannot be used.
@@ -38,12 +43,15 @@ class Mixture(House):
 
     sides: Ranges
     kinds: Kinds = field(default_factory=lambda: ["rooms"])
+    margins: Margins = field(default_factory=lambda: [[0, 0]])
     plans: list[str] = field(default_factory=list)
     plans_share: Probability = 0.1
 
     def __post_init__(self) -> None:
         for sides in self.sides:
             check_range("house.sides", sides, least=3)
+        for margins in self.margins:
+            check_range("house.margins", margins, least=0)
         for file in self._files:
             _read(file)
 
@@ -57,7 +65,14 @@ class Mixture(House):
         if numbers.random() < self.plans_share and self.plans:
             return self._loaded[between(numbers, 0, len(self.plans) - 1)]
         generators = self._generators
-        return generators[between(numbers, 0, len(generators) - 1)].layout(seed, draw)
+        layout = generators[between(numbers, 0, len(generators) - 1)].layout(seed, draw)
+        return _surrounded(layout, self._margins(seed))
+
+    def _margins(self, seed: int) -> list[int]:
+        """Blocked cells above, below, left and right of the house of a seed."""
+        numbers = stream(seed, MARGINS)
+        low, high = self.margins[between(numbers, 0, len(self.margins) - 1)]
+        return [between(numbers, low, high) for _ in range(4)]
 
     @cached_property
     def _generators(self) -> list[House]:
@@ -81,6 +96,14 @@ def _generator(kind: str, sides: Range) -> House:
         case "open":
             return Open(sides, sides)
     raise ValueError(kind)
+
+
+def _surrounded(layout: HouseLayout, margins: list[int]) -> HouseLayout:
+    above, below, left, right = margins
+    sides = (above, below), (left, right)
+    return replace(
+        layout, free=np.pad(layout.free, sides), furniture=np.pad(layout.furniture, sides)
+    )
 
 
 def _file(path: str) -> House:

@@ -28,10 +28,10 @@ def size_class(rows: int) -> int:
 
 
 def test_a_seed_gives_one_house_whatever_else_is_drawn() -> None:
-    mixture = Mixture(SIDES, ["rooms", "open"], ["apartment"], 0.3)
+    mixture = Mixture(SIDES, ["rooms", "open"], plans=["apartment"], plans_share=0.3)
     together = [mixture.layout(seed) for seed in SEEDS]
     for seed in (7, 3, 399):
-        alone = Mixture(SIDES, ["rooms", "open"], ["apartment"], 0.3).layout(seed)
+        alone = Mixture(SIDES, ["rooms", "open"], plans=["apartment"], plans_share=0.3).layout(seed)
         assert np.array_equal(alone.free, together[seed].free)
         assert alone.source == together[seed].source
 
@@ -50,8 +50,33 @@ def test_a_house_is_the_one_that_its_part_alone_would_draw() -> None:
     assert kinds == {0, 1, 2}
 
 
+def test_margins_are_blocked_cells_around_the_same_house() -> None:
+    plain = Mixture(SIDES, ["rooms", "open"], plans=["apartment"], plans_share=0.2)
+    inside = Mixture(
+        SIDES, ["rooms", "open"], [[0, 0], [2, 5]], plans=["apartment"], plans_share=0.2
+    )
+    widths, without = [], 0
+    for seed in SEEDS:
+        house, around = plain.layout(seed), inside.layout(seed)
+        rows, cols = house.free.shape
+        more = around.free.shape[0] - rows, around.free.shape[1] - cols
+        without += more == (0, 0)
+        if house.source == "apartment":
+            assert more == (0, 0)
+        elif more != (0, 0):
+            placed = np.argwhere(around.free).min(0) - np.argwhere(house.free).min(0)
+            widths += [*placed, *(more - placed)]
+            again = np.pad(
+                house.free,
+                [(width, all_ - width) for width, all_ in zip(placed, more, strict=True)],
+            )
+            assert np.array_equal(again, around.free)
+    assert set(widths) == {2, 3, 4, 5}
+    assert without == pytest.approx(400 * (0.2 + 0.8 / 2), abs=50)
+
+
 def test_parts_come_as_often_as_the_lists_say() -> None:
-    mixture = Mixture(SIDES, ["rooms", "rooms", "open"], ["apartment"], 0.25)
+    mixture = Mixture(SIDES, ["rooms", "rooms", "open"], plans=["apartment"], plans_share=0.25)
     plans = [mixture.layout(seed) for seed in range(4000)]
     loaded = [plan for plan in plans if plan.source == "apartment"]
     assert len(loaded) == pytest.approx(1000, abs=80)
@@ -64,7 +89,9 @@ def test_parts_come_as_often_as_the_lists_say() -> None:
 
 def test_a_bank_keeps_the_shares_of_parts_that_have_few_layouts() -> None:
     """Open floors of one size are all equal, and so is a plan: they count as often as asked."""
-    bank = draw_bank(Mixture([[6, 6]], ["open", "rooms"], ["apartment"], 0.2), 1000, 2)
+    bank = draw_bank(
+        Mixture([[6, 6]], ["open", "rooms"], plans=["apartment"], plans_share=0.2), 1000, 2
+    )
     assert len(bank) == 1000
     assert sum(source == "apartment" for source in bank.sources) == pytest.approx(200, abs=40)
     empty = bank.free[:, :6, :6].all((1, 2)) & (bank.rows == 6)
@@ -72,7 +99,7 @@ def test_a_bank_keeps_the_shares_of_parts_that_have_few_layouts() -> None:
 
 
 def test_a_redraw_stays_in_its_part() -> None:
-    mixture = Mixture(SIDES, ["rooms"], ["apartment"], 0.5)
+    mixture = Mixture(SIDES, ["rooms"], plans=["apartment"], plans_share=0.5)
     for seed in range(60):
         first, again = mixture.layout(seed), mixture.layout(seed, draw=1)
         if first.source == "apartment":
@@ -91,7 +118,7 @@ def two_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 @pytest.mark.parametrize("n_agents", [1, 2, 3])
 def test_given_starts_are_kept_and_others_drawn(two_starts: str, n_agents: int) -> None:
-    mixture = Mixture([[5, 7]], ["rooms"], [two_starts], 0.5)
+    mixture = Mixture([[5, 7]], ["rooms"], plans=[two_starts], plans_share=0.5)
     houses = draw_houses(mixture, range(40), n_agents)
     loaded = [source == two_starts for source in houses.sources]
     assert 10 < sum(loaded) < 30 and houses.starts is not None
@@ -161,6 +188,8 @@ def test_records_name_the_seed_of_a_drawn_house_and_the_path_of_a_plan() -> None
         ("house.sides=[[2,5]]", "house.sides"),
         ("house.sides=[[9,8]]", "house.sides"),
         ("house.sides=[8,9]", "house.sides"),
+        ("house.margins=[[3,2]]", "house.margins"),
+        ("house.margins=[[-1,2]]", "house.margins"),
         ("house.kinds=[]", "house.kinds"),
         ("house.kinds=[rooms,opn]", "open"),
         ("house.plans_share=1.5", "house.plans_share"),
