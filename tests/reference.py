@@ -472,8 +472,8 @@ class World:
                 return list(own)
             case "neighbours":
                 return [
-                    mine + sum(theirs for theirs, live in zip(own, line, strict=True) if live)
-                    for mine, line in zip(own, contacts, strict=True)
+                    pay + sum(others for others, live in zip(own, line, strict=True) if live)
+                    for pay, line in zip(own, contacts, strict=True)
                 ]
             case "team":
                 return [sum(own, Fraction(0))] * self.n_agents

@@ -1,6 +1,6 @@
 """What training costs: presets in turns, where the time of each goes, and the memory it takes.
 
-`python -m marl_clean.commands._benchmark_training` shows these alone, `marl-clean benchmark` too.
+Part of `marl-clean benchmark`; `python -m marl_clean.commands._benchmark_training` runs it alone.
 """
 
 import logging
@@ -28,10 +28,10 @@ from marl_clean.storage.checkpoint import Checkpoints
 from marl_clean.trainer.off_policy import OffPolicyLoop
 
 PRESETS = {
-    "any_house": ["trainer.imitate=null"],  # as it trains after its warm start
-    "approach_2_frontier": ["trainer.start_frames=0"],  # it learns from the first block on
+    "any_house": ["trainer.imitate=null"],  # its training after the warm start
+    "approach_2_frontier": ["trainer.start_frames=0"],  # learns from the first block on
 }
-"""What is timed, with settings that leave out what is only at the beginning of a run."""
+"""What is timed, with overrides that skip the beginning of a run."""
 ROUNDS = 8
 SLICE_SECONDS = 2.0
 PARTS = ("observation", "world", "network", "learning", "rest")
@@ -47,8 +47,8 @@ class Training:
         frames_per_second: median of the slices; a frame is a step of one world.
         robot_steps_per_second: the same in steps of single robots.
         ratio: median ratio of robot-steps/s to those of the last preset, slice by slice.
-        shares: of the time, by PARTS: what robots see; the rest of a step of the env; acting;
-            learning; and what the loop takes beside these. Empty on a GPU, where calls return
+        shares: of the time, by PARTS: observing; the rest of a step of the env; acting;
+            learning; and the rest of the loop. Empty on a GPU, where calls return
             before the work is done.
         peak_memory_mib: of a process that trains, with a full replay, and validates.
     """
@@ -62,7 +62,7 @@ class Training:
 
 
 class Session:
-    """A training that goes on for a slice of time when it is its turn."""
+    """A training that advances by slices of time, in turns with others."""
 
     def __init__(self, overrides: Sequence[str], folder: Path) -> None:
         self.cfg = compose_config(overrides)
@@ -82,7 +82,7 @@ class Session:
         self._time(self.loop, "learn", "learning")
 
     def _time(self, owner: Any, name: str, part: str) -> None:
-        """Count the time of a method's calls, from now on."""
+        """Add the time of a method's calls to a part, from now on."""
         function: Callable = getattr(owner, name)
 
         def timed(*arguments: Any, **keywords: Any) -> Any:
@@ -105,8 +105,8 @@ class Session:
         self.elapsed += taken
         return frames / taken
 
-    def forget(self) -> None:
-        """Begin to count anew."""
+    def reset_clocks(self) -> None:
+        """Reset the clocks of all parts."""
         self.elapsed, self.seconds = 0.0, dict.fromkeys(self.seconds, 0.0)
 
     def shares(self) -> dict[str, float]:
@@ -119,7 +119,7 @@ class Session:
         return {part: shares[part] for part in PARTS}
 
     def fill(self) -> None:
-        """Fill the replay, if there is one: a long run's is full."""
+        """Fill the replay, if there is one, as in a long run."""
         if isinstance(self.loop, OffPolicyLoop):
             replay = self.loop.replay
             frames = replay.storage[: len(replay)].clone()
@@ -130,7 +130,7 @@ class Session:
 def costs_of_training(
     device: str = "cpu", rounds: int = ROUNDS, slice_seconds: float = SLICE_SECONDS
 ) -> list[Training]:
-    """Train all of PRESETS in turns; a busy machine slows all alike."""
+    """Train all of PRESETS in turns, so that a busy machine slows all of them equally."""
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every buffer it makes
     cases = {
         name: [f"+experiment={name}", f"device={device}", *settings]
@@ -141,7 +141,7 @@ def costs_of_training(
         sessions = {name: Session(case, Path(folder) / name) for name, case in cases.items()}
         for session in sessions.values():
             session.run(slice_seconds)
-            session.forget()
+            session.reset_clocks()
         speeds: dict[str, list[float]] = {name: [] for name in sessions}
         for _ in range(rounds):
             for name, session in sessions.items():
@@ -161,14 +161,14 @@ def costs_of_training(
 
 
 def peak_memory(overrides: Sequence[str]) -> int:
-    """Return the peak memory in bytes of a process of its own that trains by these overrides."""
+    """Return the peak memory in bytes of a separate process that trains with these overrides."""
     command = [sys.executable, "-W", "ignore", "-m", __spec__.name, *overrides]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
     return int(done.stdout.split()[-1])
 
 
 def train_and_validate(overrides: Sequence[str]) -> int:
-    """Train by a block, fill the replay, validate, and return this process's peak in bytes."""
+    """Train on one block, fill the replay, validate, and return this process's peak in bytes."""
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     with tempfile.TemporaryDirectory() as folder:
         session = Session(overrides, Path(folder))
@@ -180,10 +180,9 @@ def train_and_validate(overrides: Sequence[str]) -> int:
 
 
 def own_peak() -> int:
-    """Return the most bytes of memory that this process had at once.
+    """Return this process's peak memory in bytes.
 
-    Linux hands a process the peak of the one that started it, in what `getrusage` says; not in
-    /proc.
+    On Linux from /proc: in `getrusage` a process inherits the peak of its parent.
     """
     status = Path("/proc/self/status")
     lines = status.read_text().splitlines() if status.is_file() else []
@@ -193,7 +192,7 @@ def own_peak() -> int:
 
 
 def wait_for(device: torch.device) -> None:
-    """Wait until a GPU has done what it was asked to."""
+    """Block until everything queued on a GPU has been computed."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
 

@@ -83,9 +83,9 @@ def main(cfg: DictConfig) -> list[Row]:
             row.wanted,
         )
     console.print(table)
-    talk = [costs_of_schemes(), costs_of_channels()]
+    messages = [costs_of_schemes(), costs_of_channels()]
     growth = growth_of_schemes()
-    for shown in (*map(table_of_costs, talk), table_of_growth(growth)):
+    for shown in (*map(table_of_costs, messages), table_of_growth(growth)):
         console.print(shown)
     training = costs_of_training(cfg.device)
     console.print(table_of_training(training))
@@ -93,7 +93,7 @@ def main(cfg: DictConfig) -> list[Row]:
     content = {
         "machine": machine(),
         "rows": [asdict(row) for row in rows],
-        "talk": [asdict(cost) for costs in talk for cost in costs],
+        "talk": [asdict(cost) for costs in messages for cost in costs],
         "growth": growth,
         "training": [asdict(cost) for cost in training],
     }
@@ -161,7 +161,7 @@ def over_robots(cfg: DictConfig) -> list[Row]:
 
 
 def whole_envs(cfg: DictConfig, cases: dict[str, tuple[int, int, int]]) -> tuple[list[Row], float]:
-    """Time envs of (worlds, robots, side), and return how much more a step of the last costs."""
+    """Time envs of (worlds, robots, side); return rows, and the last's time over the first's."""
     taken = interleaved([env_stepper(case_env(cfg, *sizes)) for sizes in cases.values()])
     rows = []
     for (case, (num_envs, n_agents, _)), times in zip(cases.items(), taken, strict=True):
@@ -192,14 +192,14 @@ def world_stepper(env: TransformedEnv) -> Stepper:
     """Return a function that computes steps and views by the world's functions alone."""
     env.reset()
     base, drawn = env.base_env, actions(env)
-    step, look = base.compiled(advance_), base.compiled(crop, wide=True)
+    step, sense = base.compiled(advance_), base.compiled(crop, wide=True)
     view_size = env.transform[1].view_size
 
     def run(count: int) -> None:
         state = base.state
         for index in range(count):
             step(state, drawn[index % ACTION_SETS], base.moves, base.rules)
-            look(state.record, state.position, state.step, view_size, base.rules)
+            sense(state.record, state.position, state.step, view_size, base.rules)
         wait_for(env.device)
 
     return run
@@ -210,7 +210,7 @@ def env_stepper(env: TransformedEnv) -> Stepper:
     carried = env.reset()
     base, drawn = env.base_env, actions(env)
     ages = torch.arange(base.num_envs, device=env.device) % 100
-    base.state.last_progress = base.state.step - ages  # so that they do not end all at once
+    base.state.last_progress = base.state.step - ages  # so that episodes do not all end together
 
     def run(count: int) -> None:
         nonlocal carried
@@ -225,7 +225,7 @@ def env_stepper(env: TransformedEnv) -> Stepper:
 def interleaved(steppers: Sequence[Stepper]) -> list[list[float]]:
     """Return the seconds per step of every repeat of each, their repeats interleaved.
 
-    The speed of a busy machine varies by more than what is compared; so it varies for all alike.
+    A busy machine's speed varies by more than what is compared; here for all alike.
     """
     taken: list[list[float]] = [[] for _ in steppers]
     for run in steppers:

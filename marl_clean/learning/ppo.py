@@ -55,8 +55,8 @@ class Ppo(Agent):
 
     Truncated episodes are bootstrapped, terminated ones are not. All robots share the weights;
     messages are made anew in the loss, so gradients cross live edges. The critic is for learning
-    alone. What is behind a frame is valued as the next frame, so that the critic sees each frame
-    once before the epochs.
+    alone. The value of a frame's successor is taken from the following frame of the block, so that
+    the critic evaluates each frame once before the epochs.
 
     What draws while it learns (dropout, dial's noise, ic3net's gate) does not while it collects, so
     ratios differ from 1 even in the first step on a block.
@@ -64,11 +64,11 @@ class Ppo(Agent):
     Args:
         encoder, comm, channels: the policy's parts; the critic gets an encoder of the same kind.
         gamma, gamma_end, gamma_rises_with: discount of a step, see `Discount`; without an end it
-            stays.
+            is constant.
         lmbda: of the advantages: 0 trusts the critic, 1 the returns.
         clip_epsilon: how far a ratio may move.
         entropy_coeff, entropy_coeff_end: weight of the entropy bonus, which goes linearly from the
-            one to the other over the run; null: it stays.
+            one to the other over the run; null: it is constant.
         critic_coeff: weight of the critic's loss.
         critic_loss: `smooth_l1` (Huber), `l2` or `l1`.
         normalize_advantage: to mean 0 and deviation 1 in each minibatch.

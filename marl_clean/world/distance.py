@@ -13,7 +13,7 @@ from torch import Tensor
 from marl_clean.world import searches
 from marl_clean.world.searches import UNREACHABLE
 
-STEPS_BETWEEN_LOOKS = 16  # of a flood: whether it goes on is waited for, where it is on a GPU
+STEPS_BETWEEN_LOOKS = 16  # of a flood: the host waits to learn whether it continues, on a GPU
 
 
 def neighbours(matrix: Tensor, outside: bool | int) -> Tensor:
@@ -107,17 +107,17 @@ def flood_first_steps(
     own = own.unflatten(-1, (height, width))
     # Which of a robot's first steps its wave came by, [4, env, agent, height, width]. A cell whose
     # lower neighbour is the start was entered by a step up, and so on.
-    mine = neighbours(own, False).roll(2, 0)
+    by_step = neighbours(own, False).roll(2, 0)
     open_cells, reached = passable | goals, wave
     ways = torch.zeros((*start.shape, 4), dtype=torch.bool, device=start.device)
     lengths = torch.full(start.shape, UNREACHABLE, dtype=torch.int32, device=start.device)
     for steps in count(1):
         onward = wave if steps == 1 else wave & passable
         fresh = neighbours(onward, False).any(0) & open_cells & ~reached
-        came_by = mine if steps == 1 else neighbours(mine & passable, False).any(0)
-        mine = came_by & fresh
+        came_by = by_step if steps == 1 else neighbours(by_step & passable, False).any(0)
+        by_step = came_by & fresh
         reached, wave = reached | fresh, fresh
-        at_goal = (mine & goals).flatten(3).any(-1).movedim(0, -1)
+        at_goal = (by_step & goals).flatten(3).any(-1).movedim(0, -1)
         first = at_goal.any(-1) & (lengths == UNREACHABLE)
         ways |= at_goal & first[..., None]
         lengths = torch.where(first, steps, lengths)

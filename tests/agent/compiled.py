@@ -60,8 +60,8 @@ def check(level: str, changes: dict, channels: dict[str, dict], memory: str, bac
     network.eval()  # bits and gates are drawn while learning
     compiled = torch.compile(network, fullgraph=True, backend=backend)
     seen = entries(network)
-    for mine, theirs in zip(flat(network(seen)), flat(compiled(seen)), strict=True):
-        torch.testing.assert_close(mine, theirs, atol=1e-4, rtol=1e-4)
+    for learned, expected in zip(flat(network(seen)), flat(compiled(seen)), strict=True):
+        torch.testing.assert_close(learned, expected, atol=1e-4, rtol=1e-4)
 
 
 def check_gradients(level: str, backend: str) -> None:
@@ -73,8 +73,8 @@ def check_gradients(level: str, backend: str) -> None:
     compiled = torch.compile(comm, fullgraph=True, backend=backend)
     plain, fast = (one(feature, live, rank)[:4] for one in (comm, compiled))
     back = [torch.autograd.grad(talk[0].square().sum(), feature)[0] for talk in (plain, fast)]
-    for mine, theirs in zip((*plain, back[0]), (*fast, back[1]), strict=True):
-        torch.testing.assert_close(mine, theirs, atol=1e-4, rtol=1e-4)
+    for learned, expected in zip((*plain, back[0]), (*fast, back[1]), strict=True):
+        torch.testing.assert_close(learned, expected, atol=1e-4, rtol=1e-4)
 
 
 def make_channel(name: str, dims: tuple[int, ...], changes: dict) -> Channel:

@@ -103,8 +103,8 @@ def test_updates_equal_plain_pytorch(double, n_agents):
         for slow, fast in zip(target.parameters(), network.parameters(), strict=True):
             slow.data.lerp_(fast.data, 0.005)
         torch.testing.assert_close(agent.update(batch)["loss"], loss.detach())
-    for mine, theirs in zip(agent.network.parameters(), network.parameters(), strict=True):
-        torch.testing.assert_close(mine, theirs)
+    for learned, expected in zip(agent.network.parameters(), network.parameters(), strict=True):
+        torch.testing.assert_close(learned, expected)
 
 
 def test_six_robots_are_too_many():

@@ -65,12 +65,14 @@ def test_updates_equal_plain_pytorch(comm, double, loss, target):
     for step in range(7):
         batch = transitions(8, seed=10 * step)
         torch.testing.assert_close(agent.update(batch)["loss"], plain.update(batch))
-    for mine, theirs in zip(agent.network.parameters(), plain.network.parameters(), strict=True):
-        torch.testing.assert_close(mine, theirs)
-    for mine, theirs in zip(
+    for learned, expected in zip(
+        agent.network.parameters(), plain.network.parameters(), strict=True
+    ):
+        torch.testing.assert_close(learned, expected)
+    for learned, expected in zip(
         agent.state_dict()["target"].values(), plain.target.parameters(), strict=True
     ):
-        torch.testing.assert_close(mine, theirs.data)
+        torch.testing.assert_close(learned, expected.data)
 
 
 def test_an_update_leaves_the_batch_as_it_was():
@@ -160,9 +162,9 @@ def test_learning_goes_on_exactly_from_a_state(target):
     state = copy.deepcopy(first.state_dict())
     second.load_state_dict(state)
     for step in range(4, 8):
-        mine = first.update(transitions(8, seed=step))
-        theirs = second.update(transitions(8, seed=step))
-        assert all(torch.equal(mine[name], theirs[name]) for name in mine)
+        one = first.update(transitions(8, seed=step))
+        other = second.update(transitions(8, seed=step))
+        assert all(torch.equal(one[name], other[name]) for name in one)
     ours, others = first.state_dict(), second.state_dict()
     for part in ("network", "target"):
         assert all(torch.equal(ours[part][name], others[part][name]) for name in ours[part])

@@ -43,9 +43,9 @@ for_all = pytest.mark.parametrize("level", SCHEMES)
 def test_robots_relabelled_with_their_draws_relabel_the_result(level: str, stack: Stack) -> None:
     net, inputs = network(make(level), stack), frames(3, 6, n_agents=5)
     order = torch.randperm(5, generator=torch.Generator().manual_seed(1))
-    theirs = play(net, relabelled(inputs, order))
-    for mine, other in zip(play(net, inputs), theirs, strict=True):
-        for one, same in zip(mine[:4], other[:4], strict=True):
+    there = play(net, relabelled(inputs, order))
+    for here, other in zip(play(net, inputs), there, strict=True):
+        for one, same in zip(here[:4], other[:4], strict=True):
             torch.testing.assert_close(one[..., order, :], same)
 
 

@@ -52,14 +52,14 @@ def run(cfg, policy=None, count=6, **settings):
 
 
 def test_house_i_is_test_seed_i_and_starts_do_not_depend_on_policy_or_run_seed(cfg):
-    ours = run(cfg)
+    first = run(cfg)
     other = cfg.copy()
     other.seed = 7
-    theirs = evaluate(other, lambda env: build.make_planner(cfg, env), house_set="test", count=6)
-    assert [record["seed"] for record in ours] == list(range(2_000_000, 2_000_006))
+    second = evaluate(other, lambda env: build.make_planner(cfg, env), house_set="test", count=6)
+    assert [record["seed"] for record in first] == list(range(2_000_000, 2_000_006))
     assert run(other, epsilon=0.3) == run(cfg, epsilon=0.3)
     names = ("seed", "rows", "cols", "free_cells", "bound_90", "bound_100", "bound_certify")
-    for record, other_record in zip(ours, theirs, strict=True):
+    for record, other_record in zip(first, second, strict=True):
         assert [record[name] for name in names] == [other_record[name] for name in names]
 
 

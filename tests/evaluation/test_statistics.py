@@ -125,13 +125,13 @@ def plain_p(differences) -> float:
 @pytest.mark.parametrize("runs", [1, 2, 5])
 def test_p_is_that_of_the_plain_sums(runs) -> None:
     rng = np.random.default_rng(5)
-    ours, theirs = rng.normal(0.3, 1, (runs, 7)), rng.normal(0, 1, (1, 7))
-    assert paired_p(ours, theirs) == pytest.approx(plain_p((ours - theirs).tolist()))
+    first, second = rng.normal(0.3, 1, (runs, 7)), rng.normal(0, 1, (1, 7))
+    assert paired_p(first, second) == pytest.approx(plain_p((first - second).tolist()))
 
 
 def test_p_of_one_run_is_the_paired_t_test_over_its_houses() -> None:
-    ours, theirs = np.random.default_rng(6).normal(size=(2, 1, 30))
-    assert paired_p(ours, theirs) == pytest.approx(ttest_rel(ours[0], theirs[0]).pvalue)
+    first, second = np.random.default_rng(6).normal(size=(2, 1, 30))
+    assert paired_p(first, second) == pytest.approx(ttest_rel(first[0], second[0]).pvalue)
 
 
 @pytest.mark.parametrize("runs", [2, 3, 5])

@@ -55,8 +55,8 @@ def results(folder: Path) -> tuple:
     return (folder / "metrics.csv").read_text(), final, best
 
 
-def assert_same_results(mine: Path, theirs: Path) -> None:
-    (rows, *checkpoints), (other_rows, *others) = results(mine), results(theirs)
+def assert_same_results(run: Path, other: Path) -> None:
+    (rows, *checkpoints), (other_rows, *others) = results(run), results(other)
     assert rows == other_rows
     for saved, other in zip(checkpoints, others, strict=True):
         assert (saved.frames, saved.notes) == (other.frames, other.notes)

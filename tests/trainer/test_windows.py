@@ -62,8 +62,8 @@ def test_open_windows_go_on_in_another_transform():
     first, second = Windows(3, 0.9), Windows(3, 0.9)
     first.inv(block(0, 4, {}))
     second.restore(first.state().clone())
-    mine, theirs = (
+    windowed, whole = (
         first.inv(block(4, 4, {6: "truncated"})),
         second.inv(block(4, 4, {6: "truncated"})),
     )
-    assert (mine == theirs).all()
+    assert (windowed == whole).all()
