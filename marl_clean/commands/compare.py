@@ -220,6 +220,35 @@ def pooled(entries: Sequence[Entry], label: str | None = None) -> Entry:
     }
 
 
+def tables_of(
+    runs: Mapping[str, Sequence[Sequence[Entry]]],
+) -> list[dict[str, tuple[Entry, Entry]]]:
+    """Return each row's entry, its seeds pooled, and the planner's, a table for a set of houses.
+
+    `runs`: of each row the entries of each seed's run, its own first. Rows trained in other houses
+    have test houses of their own; only sets that all rows share make a table.
+    """
+    tables: dict[str, dict[str, tuple[Entry, Entry]]] = {}
+    for label, seeds in runs.items():
+        sets: dict[str, list[Entry]] = {}
+        for entry in (entry for entries in seeds for entry in entries):
+            sets.setdefault(houses_of(entry), []).append(entry)
+        names = {entries[0]["policy"] for entries in seeds}
+        for houses, entries in sets.items():
+            learned = [entry for entry in entries if entry["policy"] in names]
+            planner = next(entry for entry in entries if entry["policy"] == YARDSTICK)
+            tables.setdefault(houses, {})[label] = pooled(learned, label), planner
+    return [rows for rows in tables.values() if len(rows) == len(runs)]
+
+
+def houses_of(entry: Entry) -> str:
+    """Return a text that entries on the same houses with as many robots share."""
+    houses = [
+        [house.get(key) for key in ("seed", "path", "rows", "cols")] for house in entry["houses"]
+    ]
+    return json.dumps([entry["house_set"], entry["n_agents"], houses])
+
+
 def world_key(entry: Entry, env: Mapping[str, Any]) -> str:
     """A text that comparable entries share: the world's rules, and the same houses and starts."""
     ignored = (*SPEED_KEYS, "n_agents")  # an entry may be of another team size than training

@@ -1,4 +1,4 @@
-"""The comparisons that the paper argues for but never ran: each trains what it needs.
+"""Comparisons, those that the paper argues for but never ran among them: each trains what it needs.
 
 `marl-clean figure NAME budget=smoke|small|full seed=0,1,2`: a row is one preset or setting, its
 runs are those that `marl-clean train` with the same settings makes, so nothing is trained twice.
@@ -28,6 +28,7 @@ class Comparison:
     rows: Mapping[str, Sequence[str]]
 
 
+ANY_HOUSE = ["experiment=any_house"]
 COMPARISONS = {
     "single": Comparison(
         "Does one learning robot beat the walk to the nearest unknown cell? (§3.2)",
@@ -85,6 +86,41 @@ COMPARISONS = {
             "every bump pays": ["experiment=paper_proximity", "env.obstacles=every"],
         },
     ),
+    "parts": Comparison(
+        "What is each part of any_house worth?",
+        {
+            "any_house": ANY_HOUSE,
+            "crop instead of compass": [*ANY_HOUSE, "observation=crop", "encoder=cnn"],
+            "frontier instead of compass": [*ANY_HOUSE, "observation=frontier", "encoder=cnn"],
+            "walls not masked": [*ANY_HOUSE, "agent.mask_walls=false"],
+            "houses of one size": [*ANY_HOUSE, "house.sides=[[10,10]]"],
+            "no shaping": [*ANY_HOUSE, "env.shaping=0"],
+            "walls pay as cells": [*ANY_HOUSE, "env.wall_pays=2"],
+            "walls pay nothing": [*ANY_HOUSE, "env.wall_pays=0"],
+            "dirt comes back": [*ANY_HOUSE, "env.decay_steps=200"],
+            "a planner first": [*ANY_HOUSE, "trainer.imitate=nearest_unknown"],
+            "discount 0.95": [*ANY_HOUSE, "agent.gamma=0.95", "agent.gamma_end=null"],
+            "PQN instead of PPO": [
+                "experiment=any_house_task",
+                "agent=pqn",
+                "trainer=on_policy",
+                "trainer.epochs=2",
+                "trainer.minibatch_frames=512",
+            ],
+        },
+    ),
+    "sizes": Comparison(
+        "Trained in 10x10 houses, what does a robot see that helps it in others?",
+        {
+            name: [*ANY_HOUSE, "house.sides=[[10,10]]", *settings]
+            for name, settings in {
+                "crop": ["observation=crop", "encoder=cnn"],
+                "frontier": ["observation=frontier", "encoder=cnn"],
+                "compass": [],
+            }.items()
+        }
+        | {"compass, trained in 8 to 20": ANY_HOUSE},
+    ),
 }
 
 
@@ -107,32 +143,39 @@ def jobs_of(name: str, settings: Sequence[str]) -> dict[str, list[DictConfig]]:
 
 
 def main(name: str, settings: Sequence[str], console: Console | None = None) -> list[Path]:
-    """Train what comparison `name` lacks, and draw it into runs/figures.
+    """Train what comparison `name` lacks, print its tables, and draw the first into runs/figures.
 
-    Raises BadInput before anything is trained where a setting is wrong.
+    There is a table for every set of houses on which all rows were measured. Raises BadInput
+    before anything is trained where a setting is wrong.
     """
     jobs = jobs_of(name, settings)
     from marl_clean.commands import train
-    from marl_clean.commands.compare import pooled
-    from marl_clean.evaluation.records import Entry
-    from marl_clean.evaluation.table import YARDSTICK, output
+    from marl_clean.commands.compare import tables_of
+    from marl_clean.evaluation.records import write_entries
+    from marl_clean.evaluation.table import make_table, output
     from marl_clean.report.axes import save_figure
     from marl_clean.report.comparison import draw_comparison
 
     console = console or output()
-    rows: dict[str, tuple[Entry, Entry]] = {}
-    for label, configs in jobs.items():
-        learned, planner = [], []
-        for config in configs:
-            entries = train.main(config, RUNS / config.name, console)
-            first_set = [e for e in entries if e["house_set"] == entries[0]["house_set"]]
-            learned.append(first_set[0])
-            planner += [entry for entry in first_set if entry["policy"] == YARDSTICK]
-        rows[label] = (pooled(learned), planner[0])
+    runs = {
+        label: [train.main(config, RUNS / config.name, console) for config in configs]
+        for label, configs in jobs.items()
+    }
+    tables = tables_of(runs)
+    if not tables:
+        raise BadInput(
+            f"figure {name}: no houses on which all rows were measured; name some, such as"
+            " evaluation.sides=[10,20] or evaluation.plans=[apartment]"
+        )
+    for rows in tables:
+        *_, (_, planner) = rows.values()
+        console.print(make_table([*(learned for learned, _ in rows.values()), planner]))
     first = next(iter(jobs.values()))
     title = f"{COMPARISONS[name].question}\n{budget_line(settings, first)}"
-    paths = save_figure(draw_comparison(title, rows), RUNS / "figures" / name)
-    for path in paths:
+    paths = save_figure(draw_comparison(title, tables[0]), RUNS / "figures" / name)
+    table = RUNS / "figures" / f"{name}.json"
+    write_entries(table, [entry for rows in tables for pair in rows.values() for entry in pair])
+    for path in (*paths, table):
         console.print(f"written to {path}", soft_wrap=True)
     return paths
 

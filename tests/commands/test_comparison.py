@@ -7,6 +7,7 @@ import pytest
 from rich.console import Console
 
 from marl_clean.commands import comparison, train
+from marl_clean.commands.compare import tables_of
 from marl_clean.commands.comparison import COMPARISONS, jobs_of
 from marl_clean.config.config_hash import config_hash
 from marl_clean.errors import BadInput
@@ -72,3 +73,34 @@ def test_a_comparison_trains_what_it_lacks_and_names_its_budget(tmp_path, monkey
     monkeypatch.setattr(train, "measure_all", lambda *arguments: trained.append(arguments))
     assert comparison.main("sensors", [*TINY, "seed=0,1"], console) == [svg, png]
     assert trained == []
+
+
+def entry(policy: str, house_set: str, rows: int, steps: float) -> dict:
+    houses = [{"seed": seed, "rows": rows, "cols": rows, "T_90": steps} for seed in range(3)]
+    return {"policy": policy, "house_set": house_set, "n_agents": 2, "houses": houses}
+
+
+def run_entries(policy: str, rows: int, steps: float) -> list[dict]:
+    sets = (("test", rows), ("test 8x8", 8))
+    return [entry(p, *s, steps) for s in sets for p in (policy, "random", "nearest_unknown")]
+
+
+def test_rows_are_compared_on_the_houses_that_all_were_measured_on():
+    runs = {"large": [run_entries("a", 20, 1)], "small": [run_entries("b", 10, 2)]}
+    [table] = tables_of(runs)
+    assert list(table) == ["large", "small"]
+    for (label, (learned, planner)), steps in zip(table.items(), (1, 2), strict=True):
+        assert (learned["policy"], learned["house_set"]) == (label, "test 8x8")
+        assert {house["T_90"] for house in learned["houses"]} == {steps}
+        assert planner["policy"] == "nearest_unknown"
+    same = {"large": [run_entries("a", 20, 1)], "also": [run_entries("b", 20, 2)]}
+    assert [rows["also"][0]["house_set"] for rows in tables_of(same)] == ["test", "test 8x8"]
+    assert (
+        tables_of(
+            {
+                "one": [[entry("a", "test", 5, 1), entry("nearest_unknown", "test", 5, 1)]],
+                "two": [[entry("b", "test", 6, 1), entry("nearest_unknown", "test", 6, 1)]],
+            }
+        )
+        == []
+    )

@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 
 from marl_clean import cli
 from marl_clean.config import compose
+from marl_clean.config.class_source import constant
 from marl_clean.config.compose import compose_config, has_houses
 from marl_clean.config.levels import PRESETS, conf_folder, level_of, rooms
 from marl_clean.config.presets import read_preset
@@ -130,3 +131,41 @@ def test_single_rooms_have_no_wall_inside() -> None:
         wall = ~houses.free[index][inside] & (houses.furniture[index][inside] == 0)
         assert not wall.any()
     assert (houses.furniture > 0).any((1, 2)).all()
+
+
+def learners_and_schemes() -> list[tuple[str, str]]:
+    """Every learner with its first scheme, and every scheme with the first learner that takes it."""
+    schemes = sorted(path.stem for path in (conf_folder() / "comm").glob("*.yaml"))
+    learners = {
+        path.stem: (constant(OmegaConf.load(path)["_target_"], "fits") or {}).get("comm", schemes)
+        for path in sorted((conf_folder() / "agent").glob("[!_]*.yaml"))
+    }
+    pairs = [(learner, fitting[0]) for learner, fitting in learners.items()]
+    pairs += [
+        (next(learner for learner, fitting in learners.items() if scheme in fitting), scheme)
+        for scheme in schemes
+    ]
+    return sorted(set(pairs))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("learner", "scheme"), learners_and_schemes())
+def test_every_learner_and_scheme_trains_for_any_house(
+    learner: str, scheme: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = OmegaConf.load(conf_folder() / "agent" / f"{learner}.yaml")["_target_"]
+    fits = constant(target, "fits") or {}
+    trainer, reward = (
+        fits.get(room, ["off_policy" if room == "trainer" else "individual"])[0]
+        for room in ("trainer", "reward")
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("marl_clean.commands.train.draw", lambda config, folder: None)
+    chosen = [f"agent={learner}", f"comm={scheme}", f"trainer={trainer}", f"reward={reward}"]
+    settings = [*TINY, *(f"trainer.{setting}" for setting in OF_TRAINERS[trainer])]
+    settings += ["env.max_steps=20", "evaluation.sides=[]"]
+    assert cli.main(["train", "+experiment=any_house_task", *chosen, *settings]) == 0
+    [folder] = Path("runs").iterdir()
+    rows = list(csv.DictReader((folder / "metrics.csv").read_text().splitlines()))
+    assert all(math.isfinite(float(row["loss"])) for row in rows if row["loss"])
+    assert int(rows[-1]["updates"]) >= 1
