@@ -134,7 +134,7 @@ def test_single_rooms_have_no_wall_inside() -> None:
 
 
 def learners_and_schemes() -> list[tuple[str, str]]:
-    """Every learner with its first scheme, and every scheme with the first learner that takes it."""
+    """Every learner with its first scheme, every scheme with the first learner that takes it."""
     schemes = sorted(path.stem for path in (conf_folder() / "comm").glob("*.yaml"))
     learners = {
         path.stem: (constant(OmegaConf.load(path)["_target_"], "fits") or {}).get("comm", schemes)
