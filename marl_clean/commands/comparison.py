@@ -98,6 +98,12 @@ COMPARISONS = {
             "walls pay as cells": [*ANY_HOUSE, "env.wall_pays=2"],
             "walls pay nothing": [*ANY_HOUSE, "env.wall_pays=0"],
             "dirt comes back": [*ANY_HOUSE, "env.decay_steps=200"],
+            "the paper's reward": [
+                *ANY_HOUSE,
+                "env.shaping=0",
+                "env.wall_pays=2",
+                "env.decay_steps=200",
+            ],
             "a planner first": [*ANY_HOUSE, "trainer.imitate=nearest_unknown"],
             "discount 0.95": [*ANY_HOUSE, "agent.gamma=0.95", "agent.gamma_end=null"],
             "PQN instead of PPO": [
