@@ -158,7 +158,7 @@ MarginRange = Annotated[
     BeforeValidator(_two_numbers),
 ]
 Margins = Annotated[list[MarginRange], Field(min_length=1)]
-Kinds = Annotated[list[Literal["rooms", "single_room", "open"]], Field(min_length=1)]
+Kinds = Annotated[list[Literal["rooms", "single_room", "cluttered", "open"]], Field(min_length=1)]
 
 
 def _colours(value: list[list[int]]) -> list[list[int]]:

@@ -27,8 +27,9 @@ class Mixture(House):
 
     With probability `plans_share` one of `plans`, uniformly; else one of `sides` and one of
     `kinds`, uniformly over the entries of each list, so that an entry listed twice comes twice as
-    often. `rooms` are those of `house=rooms`, `single_room` the same without dividing walls, `open`
-    floors without walls. Around a generated house lie as many blocked cells on each side as one of
+    often. `rooms` are those of `house=rooms`, `single_room` the same without dividing walls,
+    `cluttered` with twice the furniture in smaller pieces, which leave narrow gaps, `open` floors
+    without walls. Around a generated house lie as many blocked cells on each side as one of
     `margins`, picked too, allows, each side drawn: as around the rooms of a scanned plan. A `.txt`
     among `plans` is read as `house=drawn` reads it, any other file as `house=floorplan` does; a
     shipped name is the drawn one, whose furniture can move. The part depends on the seed alone, so
@@ -93,6 +94,8 @@ def _generator(kind: str, sides: Range) -> House:
             return Rooms(sides, sides)
         case "single_room":
             return Rooms(sides, sides, largest_room=LARGEST_SIDE**2, divide=0.0)
+        case "cluttered":
+            return Rooms(sides, sides, cells_per_piece=[5, 9], piece_sides=[1, 2])
         case "open":
             return Open(sides, sides)
     raise ValueError(kind)

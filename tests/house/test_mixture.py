@@ -37,17 +37,19 @@ def test_a_seed_gives_one_house_whatever_else_is_drawn() -> None:
 
 
 def test_a_house_is_the_one_that_its_part_alone_would_draw() -> None:
-    mixture = Mixture(SIDES, ["rooms", "single_room", "open"])
+    mixture = Mixture(SIDES, ["rooms", "single_room", "cluttered", "open"])
     single = {"largest_room": LARGEST_SIDE**2, "divide": 0.0}
+    cluttered = {"cells_per_piece": [5, 9], "piece_sides": [1, 2]}
     kinds = set()
     for seed in SEEDS:
         plan = mixture.layout(seed, draw=seed % 3)
         sides = SIDES[size_class(plan.free.shape[0])]
-        parts = Rooms(sides, sides), Rooms(sides, sides, **single), Open(sides, sides)
+        parts = [Rooms(sides, sides, **settings) for settings in ({}, single, cluttered)]
+        parts.append(Open(sides, sides))
         same = [np.array_equal(part.layout(seed, draw=seed % 3).free, plan.free) for part in parts]
         assert any(same) and plan.source == seed
         kinds |= {index for index, equal in enumerate(same) if equal}
-    assert kinds == {0, 1, 2}
+    assert kinds == {0, 1, 2, 3}
 
 
 def test_margins_are_blocked_cells_around_the_same_house() -> None:
