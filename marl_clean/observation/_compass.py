@@ -126,9 +126,11 @@ def read_map(known: Known, held: np.ndarray, margin: int, size: tuple[int, int])
             passable = PASSABLE if value > 0 else 0
             is_unknown = value == 0 and row < size[0] + 2 and col < size[1] + 2
             is_uncleaned = value > 0 and value != math.floor(value)
-            known.unknown[cell] = passable | (GOAL if is_unknown else 0)
+            # Nobody has to visit the ring, which is unknown all the same.
+            is_goal = is_unknown and 0 < row <= size[0] and 0 < col <= size[1]
+            known.unknown[cell] = passable | (GOAL if is_goal else 0)
             known.goals[cell] = known.unknown[cell] | (GOAL if is_uncleaned else 0)
-            onward = is_unknown and not continues_wall(held, margin, row, col)
+            onward = is_goal and not continues_wall(held, margin, row, col)
             known.onward[cell] = passable | (GOAL if onward else 0)
             unknown += is_unknown
             blocked += value < 0

@@ -47,8 +47,8 @@ class Compass(Observation):
     """Where to go and what is near, in numbers that mean the same in a house of any size.
 
     Adds `("agents", "observation")`, float32 `[*B, n, 5 K^2 + 227]`, all in [-1, 1]. A goal
-    is a cell of the house or of its ring that the robot's map does not know, or knows as available
-    and not cleaned in this episode (never dirt that came back). In this order:
+    is a cell of the house, not of its ring, that the robot's map does not know, or knows as
+    available and not cleaned in this episode (never dirt that came back). In this order:
 
     - K x K cells around the robot, five times: blocked; unknown; cleanness (0.3 + 0.7 exp(-age
       / 12) of a cleaned cell, -1 of a known one that is not, 0 of others); (d(own cell) - d(cell))
@@ -60,10 +60,10 @@ class Compass(Observation):
     - log2(1 + d(own cell)) / 10, with a distance of 1023 where no goal can be reached;
     - the nearest other robot: its relative (row, col) / 10, whether there is one, and
       1 / (1 + its Euclidean distance);
-    - for each action whether it leads to the nearest unknown cell to which no other robot is
-      nearer; and its distance, as above;
-    - for each action whether it leads to the nearest unknown cell that does not just continue a
-      known wall; and its distance.
+    - for each action whether it leads to the nearest unknown cell of the house to which no other
+      robot is nearer; and its distance, as above;
+    - for each action whether it leads to the nearest unknown cell of the house that does not just
+      continue a known wall; and its distance.
 
     Distances are over cells known to be available; robots block no path. With private and merged
     maps everything is computed from the robot's own map, and other robots are those in contact.
@@ -124,14 +124,16 @@ class Compass(Observation):
         inside = inside_house(state.rows + 2, state.cols + 2, height, width, margin=0)
         blocked, passable = is_known_blocked(record), is_known_free(record)
         unknown = is_unknown(record) & inside[:, None]
+        house = inside_house(state.rows, state.cols, height, width, margin=1)
+        unvisited = unknown & house[:, None]
         cell, others = (cell_index(place, 1, width) for place in (centre, state.position))
 
         offset = offsets(state.position) - (centre - state.position)[:, :, None]
-        distance = walking_distance(passable, unknown | is_known_uncleaned(record))
+        distance = walking_distance(passable, unvisited | is_known_uncleaned(record))
         nearer, own_distance = closer_steps(distance, cell)
         ways, lengths = first_steps(  # both searches as one, which waits half as often
             torch.cat([passable, passable]),
-            torch.cat([unknown, unknown & ~continues_wall(blocked)]),
+            torch.cat([unvisited, unvisited & ~continues_wall(blocked)]),
             cell.repeat(2, 1),
             others.repeat(2, 1),
             torch.cat([visible, torch.zeros_like(visible)]),

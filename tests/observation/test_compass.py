@@ -98,7 +98,9 @@ class PlainCompass:
         reach = range(-(side // 2), side // 2 + 1)
         square = [(row + down, col + right) for down in reach for right in reach]
         unknown = {place for place in self.cells if self.is_unknown(place)}
-        goals = unknown | {place for place in self.cells if self.is_uncleaned(place)}
+        house = set(product(range(self.world.rows), range(self.world.cols)))
+        unvisited = unknown & house
+        goals = unvisited | {place for place in self.cells if self.is_uncleaned(place)}
         steps = {place: self.to_goal(place, goals) for place in [self.centre, *square]}
         for action in range(4):
             beside = neighbour(self.centre, action)
@@ -130,8 +132,8 @@ class PlainCompass:
         shown += [float(self.is_blocked(place)) for place in beside]
         shown.append(self.far(own))
         shown += self.nearest_other()
-        shown += self.ways(unknown, self.others)
-        onward = {place for place in unknown if not self.continues_a_wall(place)}
+        shown += self.ways(unvisited, self.others)
+        onward = {place for place in unvisited if not self.continues_a_wall(place)}
         return shown + self.ways(onward, [])
 
     def to_goal(self, place: Place, goals: set[Place]) -> int | None:
