@@ -13,7 +13,7 @@ RUN := $(VENV)/bin/python -m
 help:
 	@echo "make train       set up, train robots for any house, and evaluate them"
 	@echo "make test        set up, run the tests"
-	@echo "make test-fast   set up, run the tests that take no two seconds"
+	@echo "make test-fast   set up, run the quick tests, a few cases of each family"
 	@echo "make lint        set up, check format and types"
 	@echo "make docs        set up, build the pages into site/"
 	@echo "make benchmark   set up, measure speed"
@@ -31,11 +31,15 @@ $(INSTALLED): pyproject.toml constraints.txt
 train: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(RUN) marl_clean train +experiment=any_house
 
+# Some environments forbid Python to write compiled modules; then each worker, and each process that
+# a test starts, would compile the package and the rewritten tests anew.
+PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(RUN) pytest -n 2 --dist worksteal
+
 test: $(INSTALLED)
-	OMP_NUM_THREADS=1 $(RUN) pytest -n 2 --dist worksteal
+	$(PYTEST)
 
 test-fast: $(INSTALLED)
-	OMP_NUM_THREADS=1 $(RUN) pytest -n 2 --dist worksteal -m "not slow"
+	$(PYTEST) -m "not slow"
 
 $(VENV)/.installed-dev: $(INSTALLED)
 	$(RUN) pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'

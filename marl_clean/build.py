@@ -189,6 +189,10 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     check_fit(cfg)
     if cfg.get("parameter_budget") is not None:
         cfg = as_wide_as_allowed(cfg, env)
+    return _agent(cfg, env)
+
+
+def _agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     return instantiate(cfg.agent, **agent_parts(cfg, env))
 
 
@@ -227,7 +231,7 @@ def as_wide_as_allowed(cfg: DictConfig, env: TransformedEnv) -> DictConfig:
     def size(width: int) -> int:
         sized.encoder.hidden = [*cfg.encoder.hidden[:-1], width]
         with torch.random.fork_rng([]):
-            weights = make_agent(sized, env).network.named_parameters()
+            weights = _agent(sized, env).network.named_parameters()
         return sum(w.numel() for name, w in weights if not name.startswith("channel."))
 
     if (least := size(1)) > budget:

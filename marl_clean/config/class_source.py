@@ -8,7 +8,7 @@ import ast
 import builtins
 import re
 import typing
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -19,6 +19,7 @@ from marl_clean.errors import BadInput
 
 TARGET = re.compile(r"([a-z]\w*(?:\.[a-z]\w*)+)\.([A-Za-z]\w*)")
 SIMPLE = {name: getattr(builtins, name) for name in ("int", "float", "bool", "str")}
+T = typing.TypeVar("T")
 CONTAINERS = {"list": list, "tuple": tuple, "dict": dict, "Literal": typing.Literal}
 
 
@@ -120,17 +121,25 @@ def constant(target: str, name: str) -> Any:
     Raises BadInput, naming class and line, where its value cannot be read: a constant is written
     out in the class's body, of literals and names of `marl_clean.settings`.
     """
-    for source in class_of(target).lineage():
-        for item in source.node.body:
-            if name not in _names_set(item):
-                continue
-            try:
-                return _evaluate(_value_set(item))
-            except (ArithmeticError, AttributeError, LookupError, NameError, TypeError, ValueError):
-                raise BadInput(
-                    f"{source.where(item)}: {name} cannot be read without running it; write it "
-                    "out in the class's body, of literals and names of marl_clean.settings"
-                ) from None
+    if (found := _statement(class_of(target), name)) is None:
+        return None
+    source, item = found
+    try:
+        return _evaluate(_value_set(item))
+    except (ArithmeticError, AttributeError, LookupError, NameError, TypeError, ValueError):
+        raise BadInput(
+            f"{source.where(item)}: {name} cannot be read without running it; write it "
+            "out in the class's body, of literals and names of marl_clean.settings"
+        ) from None
+
+
+@cache
+def _statement(source: ClassSource, name: str) -> tuple[ClassSource, ast.stmt] | None:
+    """What sets `name` in the body of the class, or of the nearest base that has it."""
+    for owner in source.lineage():
+        for item in owner.node.body:
+            if name in _names_set(item):
+                return owner, item
     return None
 
 
@@ -200,6 +209,12 @@ def _imports(module: str) -> dict[str, str]:
     return names
 
 
+def _kept(read: Callable[[ClassSource], Iterator[T]]) -> Callable[[ClassSource], tuple[T, ...]]:
+    """Read each class once: it is asked for whenever something is made of a config."""
+    return cache(lambda source: tuple(read(source)))
+
+
+@cache
 def _constructor(source: ClassSource) -> tuple[ClassSource, ast.FunctionDef | None] | None:
     """The nearest class that defines its constructor, and its `__init__`; None for a dataclass."""
     for owner in source.lineage():
@@ -224,6 +239,7 @@ def _arguments(source: ClassSource) -> Iterator[tuple[ClassSource, ast.arg, ast.
                 yield owner, argument, default
 
 
+@_kept
 def _parameters(source: ClassSource) -> Iterator[tuple[str, Parameter]]:
     match _constructor(source):
         case (owner, None):
@@ -235,6 +251,7 @@ def _parameters(source: ClassSource) -> Iterator[tuple[str, Parameter]]:
         yield from _settings(class_of(record.target))
 
 
+@_kept
 def _records(source: ClassSource) -> Iterator[tuple[str, Record]]:
     for owner, argument, default in _arguments(source):
         if isinstance(default, ast.Call) and not default.args and not default.keywords:

@@ -17,6 +17,7 @@ from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.testing import agent as contract
 from marl_clean.testing import check_agent
 from tests.agent.parts import STATE_SHAPE, collected, make_learner, transitions
+from tests.families import family
 
 SMALL = (*contract.SMALL, "agent=ippo", "trainer=on_policy", "agent.precision=float32")
 SIZES = ("house=open", "house.rows=[3,4]", "house.cols=[3,5]")
@@ -92,8 +93,8 @@ def test_an_env_that_does_not_draw_is_named() -> None:
         build.make_agent(config, env).policy()(env.reset())
 
 
-@pytest.mark.parametrize("critic", ["local", "robots", "state"])
-@pytest.mark.parametrize("memory", ["none", "gru"])
+@family("critic", ["local", "robots", "state"], fast=["state"])
+@family("memory", ["none", "gru"], fast=["gru"])
 def test_the_contract_with_other_critics(critic: str, memory: str) -> None:
     check_agent("ippo", precision="float32", critic=critic, critic_memory=memory)
 

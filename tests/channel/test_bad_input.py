@@ -1,11 +1,10 @@
 """Channels that cannot be are refused in one line, before a folder is made."""
 
-import pytest
-
 from marl_clean import cli
+from tests.families import family
 
 
-@pytest.mark.parametrize(
+@family(
     ("settings", "expected"),
     [
         (["channel=lossy", "channel.lossy.loss=1.5"], "channel.lossy.loss: must be a number"),

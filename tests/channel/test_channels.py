@@ -13,6 +13,7 @@ from marl_clean.testing._broken import Clause
 from marl_clean.testing.channel import CLAUSES
 from tests.channel.contract import LEVELS, Make, channel, seeds
 from tests.comm.contract import draw
+from tests.families import family
 
 STACKS: dict[str, list[tuple[str, dict]]] = {
     **{level: [(level, {})] for level in LEVELS},
@@ -33,7 +34,7 @@ def made(stack: list[tuple[str, dict]]) -> Make:
 
 
 @pytest.mark.parametrize("clause", CLAUSES, ids=lambda clause: clause.__name__)
-@pytest.mark.parametrize("stack", STACKS.values(), ids=STACKS)
+@family("stack", STACKS.values(), fast=2, ids=STACKS)
 def test_the_contract(stack, clause: Clause) -> None:
     clause(made(stack))
 

@@ -20,6 +20,7 @@ from tests.channel.played import (
     relabelled,
 )
 from tests.comm.contract import FEATURES, make, within
+from tests.families import family
 
 SCHEMES = rooms()["comm"]
 STACKS: dict[str, Stack] = {
@@ -35,7 +36,7 @@ STACKS: dict[str, Stack] = {
     },
 }
 over_all = pytest.mark.parametrize("stack", STACKS.values(), ids=STACKS)
-for_all = pytest.mark.parametrize("level", SCHEMES)
+for_all = family("level", SCHEMES, fast=2)
 
 
 @over_all

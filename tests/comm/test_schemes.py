@@ -7,6 +7,7 @@ from marl_clean.comm._hidden_states import HiddenStates
 from marl_clean.testing._broken import Clause
 from marl_clean.testing.comm import CLAUSES
 from tests.comm.contract import DILUTED, VARIANTS, draw, line, make, maker_of
+from tests.families import family
 
 
 def name_of(value) -> str:
@@ -17,7 +18,7 @@ def name_of(value) -> str:
 
 
 @pytest.mark.parametrize("clause", CLAUSES, ids=name_of)
-@pytest.mark.parametrize("variant", VARIANTS + DILUTED, ids=name_of)
+@family("variant", VARIANTS + DILUTED, fast=2, ids=name_of)
 def test_the_contract(variant: tuple[str, dict], clause: Clause) -> None:
     clause(maker_of(variant[0], **variant[1]))
 

@@ -11,6 +11,7 @@ from marl_clean.commands.compare import tables_of
 from marl_clean.commands.comparison import COMPARISONS, jobs_of
 from marl_clean.config.config_hash import config_hash
 from marl_clean.errors import BadInput
+from tests.families import family
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -30,7 +31,7 @@ TINY = [
 ]
 
 
-@pytest.mark.parametrize("name", COMPARISONS)
+@family("name", COMPARISONS, fast=1)
 def test_the_rows_of_a_comparison_are_different_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     jobs = jobs_of(name, ["budget=smoke", "seed=0,1"])

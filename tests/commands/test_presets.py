@@ -20,6 +20,7 @@ from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import load_config
 from marl_clean.evaluation.records import MEASURES, SCHEMA, WORLD, read_entries
 from marl_clean.house.base import draw_houses
+from tests.families import family
 
 pytestmark = pytest.mark.usefixtures("one_thread", "unchecked")
 
@@ -110,7 +111,7 @@ def test_a_preset_trains_and_measures(
         assert 0 < entry["summary"]["coverage"]["mean"] <= 1
 
 
-@pytest.mark.parametrize("path", ALL, ids=lambda path: f"{path.parent.name}={path.stem}")
+@family("path", ALL, fast=4, ids=lambda path: f"{path.parent.name}={path.stem}")
 def test_what_is_read_in_a_preset_is_what_hydra_composes(path: Path) -> None:
     override = [f"{path.parent.name}={path.stem}"]
     ours = compose.apply(

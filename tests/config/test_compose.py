@@ -16,6 +16,7 @@ from marl_clean.config.config_hash import config_hash
 from marl_clean.config.overrides import parse_overrides
 from marl_clean.config.stored import check_same_run, compose_for_policy
 from marl_clean.errors import BadInput
+from tests.families import family
 
 
 def keys_and_types(config: DictConfig) -> dict[str, typing.Any]:
@@ -96,7 +97,7 @@ def refusal(*overrides: str) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize("override", WRONG_TYPE)
+@family("override", WRONG_TYPE, fast=30)
 def test_every_key_refuses_what_is_not_of_its_type(override: str) -> None:
     """In a config that is composed already, since Hydra leaves types to the check."""
     config = CONFIG.copy()
@@ -107,7 +108,7 @@ def test_every_key_refuses_what_is_not_of_its_type(override: str) -> None:
     assert_names_its_key(str(caught.value), override)
 
 
-@pytest.mark.parametrize("override", [*WRONG_TYPE[::10], *WRONG_LEVEL, *OUT_OF_RANGE])
+@family("override", [*WRONG_TYPE[::10], *WRONG_LEVEL, *OUT_OF_RANGE], fast=8)
 def test_a_wrong_value_names_its_key_and_what_is_valid(override: str) -> None:
     assert_names_its_key(refusal(override), override)
 
@@ -118,7 +119,7 @@ def assert_names_its_key(message: str, override: str) -> None:
     assert any(word in message for word in ("must", "valid", "no class", "no file", "one by one"))
 
 
-@pytest.mark.parametrize("override", MISSPELT)
+@family("override", MISSPELT)
 def test_a_misspelt_key_is_refused_with_the_nearest_one(override: str) -> None:
     key = override.partition("=")[0]
     assert refusal(override).startswith(f"{key}: no such key; did you mean ")

@@ -6,6 +6,7 @@ from omegaconf import OmegaConf
 from marl_clean.config.compose import compose_config
 from marl_clean.config.levels import SEVERAL, groups, is_target, read_level, rooms
 from marl_clean.errors import BadInput
+from tests.families import family
 
 
 def test_what_levels_share_is_no_level() -> None:
@@ -14,7 +15,7 @@ def test_what_levels_share_is_no_level() -> None:
         compose_config(["agent=_deep_q"])
 
 
-@pytest.mark.parametrize("room", sorted(set(rooms()) - {*SEVERAL, "topology"}))
+@family("room", sorted(set(rooms()) - {*SEVERAL, "topology"}), fast=["encoder"])
 def test_a_level_is_read_as_hydra_composes_it(room: str) -> None:
     for level in rooms()[room]:
         section = OmegaConf.to_container(compose_config([f"{room}={level}"])[room])

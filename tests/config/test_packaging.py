@@ -46,6 +46,7 @@ def test_the_wheel_carries_its_own_configs(built: Path) -> None:
     assert where_conf_is(site) == site / "marl_clean" / "conf"
 
 
+@pytest.mark.slow
 def test_the_wheel_carries_the_trained_runs(built: Path) -> None:
     """Nothing beside it: `marl-clean evaluate checkpoint=NAME` works from any folder."""
     wheel = built / build_wheel(str(built))

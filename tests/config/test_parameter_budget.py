@@ -11,6 +11,7 @@ from marl_clean.config.compose import compose_config
 from marl_clean.config.config_hash import config_hash
 from marl_clean.config.levels import rooms
 from marl_clean.errors import BadInput
+from tests.families import family
 
 SMALL = ["train_houses=4", "env.num_envs=2", "house.rows=[5,5]", "house.cols=[5,5]"]
 BUDGET = 150_000
@@ -26,7 +27,7 @@ def size(agent) -> int:
     return sum(weight.numel() for weight in agent.network.parameters())
 
 
-@pytest.mark.parametrize("comm", rooms()["comm"])
+@family("comm", rooms()["comm"], fast=["plan"])
 def test_every_scheme_fills_the_budget_and_does_not_exceed_it(comm: str) -> None:
     agent = learner(f"comm={comm}", f"parameter_budget={BUDGET}")
     assert 0.99 * BUDGET < size(agent) <= BUDGET
@@ -34,7 +35,7 @@ def test_every_scheme_fills_the_budget_and_does_not_exceed_it(comm: str) -> None
     assert size(learner(f"comm={comm}", f"encoder.hidden=[{wider}]")) > BUDGET
 
 
-@pytest.mark.parametrize("agent", rooms()["agent"])
+@family("agent", rooms()["agent"], fast=["qmix"])
 def test_every_learner_has_a_network_of_the_budget(agent: str) -> None:
     fits = ["comm=none", "reward=team"]
     loop = "on_policy" if agent in ("ippo", "mappo", "pqn") else "off_policy"

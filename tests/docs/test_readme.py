@@ -74,6 +74,7 @@ def test_its_commands_compose() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unchecked")
 def test_its_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     [program] = re.findall(r"```python\n(.*?)```", section("One minute"), re.S)
     (tmp_path / "program.py").write_text(program)

@@ -60,10 +60,10 @@ def test_specs_hold(overrides: list[str]) -> None:
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("overrides", READINGS, ids=" ".join)
 def test_equal_seeds_give_equal_episodes_and_other_seeds_others(overrides: list[str]) -> None:
-    """Over 500 steps with many resets, to the last bit."""
-    actions = actions_for(500, 6)
+    """Over many resets, to the last bit."""
+    actions = actions_for(150, 6)
     first, again, other = (
-        torch.stack(stepped(small_env(*overrides, "env.stuck_after=20", seed=seed), actions))
+        torch.stack(stepped(small_env(*overrides, "env.stuck_after=8", seed=seed), actions))
         for seed in (3, 3, 4)
     )
     assert first["next", keys.DONE].sum() > 20

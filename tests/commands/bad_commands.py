@@ -1,0 +1,109 @@
+"""Commands with bad input, and what the one line about each names.
+
+A script, too: it runs them all in one process, for which torch must not be imported.
+"""
+
+import os
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+
+from marl_clean import cli
+
+# Through the command line for real: (arguments, what the one line names).
+BAD_COMMANDS = {
+    "trian": "did you mean train?",
+    "train house=drawn house.path=nowhere.txt": "house.path",
+    "train house=floorplan house.path=broken.yaml": "missing.pgm",
+    "train env.n_agents=99": "env.n_agents",
+    "train house=drawn house.path=walls.txt": "no free cell",
+    "evaluate checkpoint=nowhere": "checkpoint=nowhere",
+}
+# The same, in one interpreter.
+MORE_BAD_COMMANDS = {
+    "train --foo": "--foo",
+    "train observation.view_size=14": "13 and 15",
+    "train env.n_agents=0": "env.n_agents",
+    "train observation=distances": "encoder=cnn: takes squares, observation=distances gives a",
+    "train encoder=mlp": "valid: cnn",
+    "train -m observation=crop,distances": "encoder=cnn",
+    "train observation=distances encoder=mlp agent.augment=true": "agent.augment",
+    "train observation=global_map house.rows=[5,14]": "observation.largest_side=10",
+    "train observation=global_map": "evaluation.plans",
+    "evaluate observation=global_map house=drawn": "observation.largest_side=10",
+    "train observation.position_noise=1.5": "observation.position_noise",
+    "train env.bump_noise=-1": "env.bump_noise",
+    "figure paper_2 observation=distances": "observation=distances",
+    "benchmark observation=global_map": "observation=global_map",
+    "train agent.lr=abc": "agent.lr",
+    "train agent.lrr=1": "did you mean lr?",
+    "train house=rooms house.rows=[3,3] house.cols=[3,3]": "house.rows",
+    "train -m seed=1,x": "seed",
+    "train -m seed=interval(0,1)": "seed",
+    "train -m hydra/launcher=joblib": "pip install hydra-joblib-launcher",
+    "train -m hydra/launcher=nope": "hydra/launcher=nope: no such level; valid: basic",
+    "train -m hydra.nope=1": "hydra.nope: no such key of Hydra's",
+    "train -m hydra.job.nam=x seed=1": "did you mean name?",
+    "train -m hydra/launcher=basic,joblib": "takes one value",
+    "train -m comm=plan,plam": "did you mean plan?",
+    "train -m +experiment=comm_comparison,quick": "experiment: comm_comparison is a sweep",
+    "train evaluation.team_sizes=[2,0]": "evaluation.team_sizes",
+    "train observation=compass": "observation=compass gives a vector; valid: mlp",
+    "train observation=compass encoder=mlp observation.view_size=1": "observation.view_size",
+    "train +experiment=spread observation=compass": "observation=compass: env=pettingzoo shows",
+    "train evaluation.sides=[10,2]": "evaluation.sides: 2: ",
+    "train +experiment=spread evaluation.sides=[10]": "an external task; valid: []",
+    "train evaluation.team_sizes=[99]": "evaluation.team_sizes: 99: ",
+    "train -m evaluation.team_sizes=[99] seed=1,2": "evaluation.team_sizes: 99: ",
+    "train +experiment=paper_central evaluation.team_sizes=[3]": "agent=central_dqn is of env.n",
+    "train +experiment=spread evaluation.team_sizes=[3]": "an external task; valid: []",
+    "train -m agent.lr=1,2 sed=3": "did you mean seed?",
+    "train encoder.channels=[1,2]": "encoder.strides: 3 strides for 2 convolutions",
+    "train encoder.kernel_size=99": "encoder.channels: a view of 15 is too small",
+    "train trainer.frames_per_batch=100": "a multiple of env.num_envs=128, such as 128",
+    "train trainer.buffer_frames=1": "trainer.buffer_frames=1: must hold at least",
+    "train agent=ippo trainer=on_policy trainer.minibatch_frames=3": "must divide",
+    "train parameter_budget=1": "parameter_budget=1: the encoder's convolutions have",
+    f"train name={'n' * 300}": "name: must be at most 200 characters, not 300",
+    f"evaluate checkpoint={'c' * 5000}": "checkpoint=ccc",
+    f"evaluate checkpoint={'c' * 300}": "checkpoint=ccc",
+    "train encoder.hidden=[999999999]": "encoder.hidden",
+    "train comm.message_dim=999999999": "comm.message_dim",
+    "train trainer.buffer_frames=2000000000": "trainer.buffer_frames",
+    "train logger.csv._target_=marl_clean.logger.base.Logger": "logger.csv._target_: must name",
+    "evaluate planner=random house.rows=[999,999] house.cols=[999,999]": "pieces of furniture",
+    "train house.rows=14": "house.rows: must be a range, not 14; give [14, 14] or two numbers",
+    "evaluate out=.": "out=.",
+    "evaluate out=walls.txt/x.json": "walls.txt",
+    "evaluate env.n_agents=99": "env.n_agents",
+    "watch planner=nobody": "planner=nobody",
+    "figure": "NAME",
+    "figure seed=1": "name a figure",
+    "figure paper_9": "paper_2",
+    "benchmark seed=x": "seed",
+    "list seed=1": "seed=1",
+    "doctor now": "now",
+}
+
+
+def complaint(command: str, named: str) -> str:
+    """What is wrong with how a command is refused; empty if nothing is."""
+    files = set(os.listdir())
+    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as err:
+        code = cli.main(command.split())
+    text = err.getvalue()
+    is_one_line = text.startswith("marl-clean: ") and text.count("\n") == 1 and named in text
+    if code == cli.BAD_INPUT and is_one_line and not out.getvalue() and files == set(os.listdir()):
+        return ""
+    return f"{command[:100]}: {code}, {out.getvalue()!r}, {text!r}, {os.listdir()}"
+
+
+def main() -> None:
+    commands = {**BAD_COMMANDS, **MORE_BAD_COMMANDS}
+    complaints = filter(None, (complaint(*command) for command in commands.items()))
+    assert not (wrong := "\n".join(complaints)), wrong
+    assert "torch" not in sys.modules
+
+
+if __name__ == "__main__":
+    main()
