@@ -142,6 +142,7 @@ def take_the_path_of_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "walking_distance", distance.flood)
     monkeypatch.setattr(compass, "first_steps", distance.flood_first_steps)
     monkeypatch.setattr(compass.Compass, "by_machine_code", compass.Compass.by_tensors)
+    monkeypatch.setattr(potential, "by_machine_code", potential.by_tensors)
     monkeypatch.setattr(cleaning, "check_actions", lambda action: None)
 
 

@@ -3,6 +3,7 @@
 The floods of `distance` give the same numbers on any device; tests compare the two.
 """
 
+import math
 from typing import no_type_check  # numba compiles a function as it stands, not in a wrapper
 
 import numba
@@ -110,6 +111,54 @@ def distances(passable: np.ndarray, sources: np.ndarray) -> np.ndarray:
         for row in range(rows):
             first = (row + 1) * stride + 1
             result[index, row] = steps[first : first + cols]
+    return result
+
+
+@machine_code
+@no_type_check
+def steps_to_goals(
+    record: np.ndarray,
+    margin: int,
+    rows: np.ndarray,
+    cols: np.ndarray,
+    position: np.ndarray,
+    farthest: int,
+) -> np.ndarray:
+    """Return the steps from each robot to the nearest cell that it has to visit, int32.
+
+    `record` is [env, map, height, width] with its margin, one map for all robots or one for each;
+    `rows` and `cols` are [env], `position` [env, robot, 2]. UNREACHABLE beyond `farthest` steps.
+    """
+    envs, robots = position.shape[:2]
+    maps, height, width = record.shape[1:]
+    result = np.full((envs, robots), UNREACHABLE, np.int32)
+    reached = np.full(height * width, -1, np.int32)
+    queue = np.empty(height * width, np.int32)
+    for env in range(envs):
+        for robot in range(robots):
+            held = record[env, robot if maps > 1 else 0].reshape(-1)
+            head, tail = 0, 1
+            row, col = position[env, robot]
+            queue[0] = (row + margin) * width + col + margin
+            reached[queue[0]] = 0
+            while head < tail:
+                cell = queue[head]
+                head += 1
+                value = held[cell]
+                row, col = cell // width - margin, cell % width - margin
+                inside = 0 <= row < rows[env] and 0 <= col < cols[env]
+                if (value == 0 and inside) or (value > 0 and value != math.floor(value)):
+                    result[env, robot] = reached[cell]
+                    break
+                if value <= 0 or reached[cell] == farthest:
+                    continue
+                for beside in (cell - width, cell + 1, cell + width, cell - 1):
+                    if reached[beside] < 0:
+                        reached[beside] = reached[cell] + 1
+                        queue[tail] = beside
+                        tail += 1
+            for index in range(tail):
+                reached[queue[index]] = -1
     return result
 
 

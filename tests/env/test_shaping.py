@@ -10,7 +10,7 @@ from marl_clean.env.shaping import Shaping
 from marl_clean.evaluation.evaluator import held_out_env
 from marl_clean.storage.checkpoint import Checkpoints
 from marl_clean.trainer.off_policy import OffPolicyLoop
-from marl_clean.world.potential import potential
+from marl_clean.world.potential import FARTHEST, by_machine_code, by_tensors, potential
 from tests.world.play import houses_of
 
 WEIGHT, GAMMA = 0.5, 0.9
@@ -92,6 +92,19 @@ def test_the_potential_of_a_lane(free: list[int], known: list[float], expected: 
     margin = env.base_env.rules.margin
     env.base_env.state.record[0, 0, margin, margin : margin + len(known)] = torch.tensor(known)
     assert potential(env.base_env.state, env.base_env.rules).tolist() == [[[expected]]]
+
+
+@pytest.mark.parametrize("memory", ["shared", "private"])
+def test_machine_code_and_tensors_search_alike(memory: str) -> None:
+    env = build.make_env(compose_config([*SHAPED, "env.stuck_after=40", f"env.memory={memory}"]))
+    frame, seen = env.reset(), set()
+    for _ in range(60):
+        frame = env.rand_step(frame)["next"].exclude("reward")
+        state, rules = env.base_env.state, env.base_env.rules
+        steps = by_machine_code(state, rules).clamp(max=FARTHEST)
+        assert torch.equal(steps, by_tensors(state, rules).clamp(max=FARTHEST))
+        seen |= {*steps.flatten().tolist()}
+    assert len(seen) > 3
 
 
 def test_evaluation_does_not_compute_it() -> None:
