@@ -9,6 +9,7 @@ from marl_clean.config.compose import compose_config
 from marl_clean.errors import BadInput
 from marl_clean.learning.acting import begin_carrying, entries
 from marl_clean.trainer._collecting import CarriedCollector, Rows, Windows
+from tests.families import family
 
 BASE = [
     "train_houses=8",
@@ -59,7 +60,7 @@ def played(settings: list[str], blocks: int = 2):
     return cfg, agent, torch.cat(taken, dim=1)
 
 
-@pytest.mark.parametrize("settings", CARRYING.values(), ids=CARRYING)
+@family("settings", CARRYING.values(), fast=1, ids=CARRYING)
 def test_unrolled_rows_say_what_was_played(settings: list[str]) -> None:
     _, agent, frames = played(settings)
     assert frames["next", "done"].any()  # episodes begin within rows
@@ -92,7 +93,7 @@ def test_what_is_carried_matters_and_gradients_cross_steps(settings: list[str]) 
     assert not grad[:, :5].any()  # a new episode remembers nothing
 
 
-@pytest.mark.parametrize("settings", CARRYING.values(), ids=CARRYING)
+@family("settings", CARRYING.values(), fast=1, ids=CARRYING)
 def test_evaluation_carries_what_training_carries(settings: list[str]) -> None:
     """Without primer: a loop that carries all that a step leaves begins with zeros."""
     cfg, agent, frames = played(settings, blocks=1)
@@ -106,7 +107,7 @@ def test_evaluation_carries_what_training_carries(settings: list[str]) -> None:
             td = step_mdp(td)
 
 
-@pytest.mark.parametrize("settings", CARRYING.values(), ids=CARRYING)
+@family("settings", CARRYING.values(), fast=1, ids=CARRYING)
 def test_what_an_env_does_not_hold_is_named_and_never_made_up(settings: list[str]) -> None:
     cfg = compose_config([*BASE, *settings])
     env = build.make_env(cfg)

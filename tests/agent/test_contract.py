@@ -115,7 +115,7 @@ class AllAlike(Iql):
         return TensorDictSequential(super().exploration(action_spec), module)
 
 
-@pytest.mark.parametrize(
+@family(
     ("wrong", "broken"),
     [
         (Frozen, "an update moves no weight of the network"),
@@ -125,6 +125,7 @@ class AllAlike(Iql):
         (Undrawn, "from the same frames, another loss:"),
         (AllAlike, "exploring, all robots act alike"),
     ],
+    fast=2,
 )
 def test_the_contract_refuses(wrong: type[Iql], broken: str) -> None:
     with pytest.raises(ContractBroken, match=f"^agent={wrong.__name__} .*{broken}"):

@@ -69,6 +69,7 @@ def test_actions_are_drawn_by_softmax_from_seeds_alone() -> None:
     assert both.item() == pytest.approx(logits.softmax(0).square().sum().item(), abs=0.01)
 
 
+@pytest.mark.slow
 def test_sampled_actions_are_repeatable_and_differ_from_argmax() -> None:
     records = {}
     for play in ("argmax", "sampled"):
@@ -117,7 +118,7 @@ def test_which_robots_a_critic_depends_on(critic: str) -> None:
     assert torch.equal(value, valuing(seen, *known[1])[:, 0]) is (critic != "state")
 
 
-@pytest.mark.parametrize("critic", ["local", "state"])
+@family("critic", ["local", "state"], fast=["local"])
 def test_a_critics_memory_goes_through_episodes_and_from_block_to_block(critic: str) -> None:
     agent, frames = played(f"agent.critic={critic}", "agent.critic_memory=gru")
     valuing, begins = agent.critic, frames[keys.IS_INIT]
@@ -158,6 +159,7 @@ def test_an_external_task_has_no_true_state() -> None:
         check_fit(spread)
 
 
+@pytest.mark.slow
 def test_any_weights_act_by_the_settings_of_the_config(tmp_path) -> None:
     config = compose_config([*SMALL, *SIZES, "name=mine"])
     agent = build.make_agent(config, build.make_env(config))

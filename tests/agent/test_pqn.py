@@ -10,6 +10,7 @@ from marl_clean.agent.pqn import Pqn
 from marl_clean.learning.acting import entries
 from marl_clean.testing import agent as contract
 from tests.agent.parts import collected, make_learner, transitions
+from tests.families import family
 
 SMALL = (
     *contract.SMALL,
@@ -56,7 +57,7 @@ def returns(agent: Pqn, block: TensorDict) -> Tensor:
     return result
 
 
-@pytest.mark.parametrize("settings", CARRYING.values(), ids=CARRYING)
+@family("settings", CARRYING.values(), fast=1, ids=CARRYING)
 def test_returns_are_those_of_a_plain_loop(settings: tuple[str, ...]) -> None:
     agent, block = played(*settings)
     block["next", keys.TERMINATED][0] = block["next", keys.DONE][0]  # as if they had finished

@@ -34,6 +34,7 @@ def shown(costs: list[Training]) -> str:
     return console.file.getvalue()
 
 
+@pytest.mark.slow
 def test_presets_are_timed_interleaved_and_their_parts_add_up(monkeypatch) -> None:
     monkeypatch.setattr(training, "PRESETS", PRESETS)
     monkeypatch.setattr(training, "peak_memory", lambda overrides: 300 * MIB)

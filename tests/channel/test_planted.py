@@ -16,6 +16,7 @@ from marl_clean.testing._broken import require, require_equal
 from tests.channel.contract import Make
 from tests.channel.test_channels import DIMS, EVERYBODY, moment, moving
 from tests.comm.contract import draw
+from tests.families import family
 
 
 class Free(Lossy):
@@ -176,7 +177,7 @@ def test_planted_defects_are_caught(planted, check):
 LOSSY = {"loss": 0.5, "burst_start": 0.0, "burst_end": 0.5, "burst_loss": 1.0}
 
 
-@pytest.mark.parametrize(
+@family(
     ("wrong", "settings", "broken"),
     [
         (Multiplying, {}, "NaN of robot 0 crosses a dead edge to"),
@@ -192,6 +193,7 @@ LOSSY = {"loss": 0.5, "burst_start": 0.0, "burst_end": 0.5, "burst_loss": 1.0}
         (Everywhere, {}, "address sends over an edge that is not live"),
         (Growing, {"steps": 1, "message_dims": None}, "as state_spec says"),
     ],
+    fast=4,
 )
 def test_the_contract_refuses(wrong: type[Channel], settings: dict, broken: str) -> None:
     given = {key: value for key, value in settings.items() if value is not None}

@@ -121,10 +121,10 @@ def test_who_talks_opens_the_right_door(tmp_path, comm):
     assert right_after_training(tmp_path, comm, hold) > 0.95
 
 
-@pytest.mark.parametrize("hold", [1, 2])
 @pytest.mark.parametrize("comm", SILENT)
-def test_who_is_silent_guesses(tmp_path, comm, hold):
-    assert 0.4 <= right_after_training(tmp_path, comm, hold) <= 0.6
+def test_who_is_silent_guesses(tmp_path, comm):
+    """Even at a door that waits, where whatever crosses within a step or a step late would help."""
+    assert 0.4 <= right_after_training(tmp_path, comm, hold=2) <= 0.6
 
 
 def test_a_message_that_comes_a_step_late_helps_only_if_the_door_waits(tmp_path):

@@ -15,6 +15,7 @@ from marl_clean.testing._broken import Clause, verify
 from marl_clean.testing._graphs import within
 from marl_clean.testing._levels import maker
 from tests.comm import equations
+from tests.families import family
 
 
 class LeakingMean(CommNet):
@@ -151,7 +152,7 @@ SETTINGS = {
 }
 
 
-@pytest.mark.parametrize(
+@family(
     ("wrong", "clause", "broken"),
     [
         (
@@ -222,6 +223,7 @@ SETTINGS = {
             "attention of .* falls on a dead edge",
         ),
     ],
+    fast=5,
 )
 def test_the_contract_refuses(wrong: type, clause: Clause, broken: str) -> None:
     """By the clause that it breaks, and by the contract as a whole."""

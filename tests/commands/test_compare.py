@@ -13,6 +13,7 @@ from marl_clean.commands import compare
 from marl_clean.config.compose import compose_config
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.records import MEASURES, make_entry, write_entries
+from tests.families import family
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -87,6 +88,7 @@ def test_runs_on_other_houses_stand_in_a_table_of_their_own(tmp_path) -> None:
     assert [row["policy"] for row in rows] == ["a-s0", "nearest_unknown", "a-s1", "nearest_unknown"]
 
 
+@pytest.mark.slow
 def test_other_rules_of_the_world_are_another_table_with_their_own_planner(tmp_path) -> None:
     runs = [
         write_run(tmp_path / "shared", [], [40, 60]),
@@ -132,6 +134,7 @@ def test_differences_are_paired_by_seed_and_house_and_corrected(tmp_path) -> Non
     assert plan["finished"]["mean"] == 0 and plan["finished"]["p"] == 1
 
 
+@pytest.mark.slow
 def test_only_seeds_that_both_have_are_paired_and_the_reference_can_be_chosen(tmp_path) -> None:
     runs = [
         write_run(tmp_path / "plan-s0", ["seed=0"], [40, 60]),
@@ -149,6 +152,7 @@ def test_only_seeds_that_both_have_are_paired_and_the_reference_can_be_chosen(tm
         compare.main(runs, None, QUIET, against="comm=dial")
 
 
+@pytest.mark.slow
 def test_seeds_that_cannot_be_paired_are_named_in_one_line(tmp_path, caplog) -> None:
     runs = [
         write_run(tmp_path / f"{comm}-s{seed}", [f"comm={comm}", f"seed={seed}"], [40, 60])
@@ -219,7 +223,7 @@ FOREIGN = {
 }
 
 
-@pytest.mark.parametrize("what", FOREIGN)
+@family("what", FOREIGN, fast=4)
 def test_a_foreign_entry_leaves_its_run_out_in_one_line(what, pair, tmp_path, caplog) -> None:
     path = tmp_path / "foreign" / "evaluation.json"
     entries = json.loads(path.read_text())

@@ -34,10 +34,11 @@ TINY = [
 @family("name", COMPARISONS, fast=1)
 def test_the_rows_of_a_comparison_are_different_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    jobs = jobs_of(name, ["budget=smoke", "seed=0,1"])
+    seeds = [0, 1] if name == next(iter(COMPARISONS)) else [0]
+    jobs = jobs_of(name, ["budget=smoke", f"seed={','.join(map(str, seeds))}"])
     assert list(jobs) == list(COMPARISONS[name].rows)
     hashes = [config_hash(config) for configs in jobs.values() for config in configs]
-    assert len(set(hashes)) == len(hashes) == 2 * len(jobs)
+    assert len(set(hashes)) == len(hashes) == len(seeds) * len(jobs)
     assert list(tmp_path.iterdir()) == []
 
 

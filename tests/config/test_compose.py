@@ -186,6 +186,7 @@ def test_instantiate_gives_declared_types_and_lets_parts_win() -> None:
     assert (house.rows, house.cols) == ([10, 10], [3, 4])
 
 
+@pytest.mark.slow
 def test_the_hash_covers_what_decides_a_result_and_nothing_else() -> None:
     plain = config_hash(CONFIG)
     same = ["device=cuda", "name=other", "logger=[]", "out=x.json", "checkpoint=y"]
@@ -233,8 +234,10 @@ def test_noise_on_what_is_seen_fits_any_weights(run: Path) -> None:
     assert config.observation.position_noise == 0.1
 
 
-@pytest.mark.parametrize(
-    "override", ["observation.view_size=13", "comm=none", "comm.message_dim=3", "encoder.dropout=1"]
+@family(
+    "override",
+    ["observation.view_size=13", "comm=none", "comm.message_dim=3", "encoder.dropout=1"],
+    fast=2,
 )
 def test_a_setting_that_changes_the_network_does_not_fit(run: Path, override: str) -> None:
     with pytest.raises(BadInput, match="does not fit checkpoint mine") as caught:
@@ -242,7 +245,7 @@ def test_a_setting_that_changes_the_network_does_not_fit(run: Path, override: st
     assert str(caught.value).startswith(override.partition("=")[0])
 
 
-@pytest.mark.parametrize(
+@family(
     ("overrides", "words"),
     [
         (["checkpoint=mime"], "did you mean mine"),
@@ -251,13 +254,14 @@ def test_a_setting_that_changes_the_network_does_not_fit(run: Path, override: st
         (["checkpoint=mine", "env.n_agents=x"], "env.n_agents: must be"),
         (["checkpoint=mine", "experiment=null"], "leave one of them out"),
     ],
+    fast=2,
 )
 def test_a_checkpoint_is_named_rightly(run: Path, overrides: list[str], words: str) -> None:
     with pytest.raises(BadInput, match=words):
         compose_for_policy(overrides)
 
 
-@pytest.mark.parametrize(
+@family(
     ("text", "words"),
     [
         ("seed: ${oc.env:HOME}", "values written out"),
@@ -269,6 +273,7 @@ def test_a_checkpoint_is_named_rightly(run: Path, overrides: list[str], words: s
         ("seed: " + "[" * 3000, "not plain yaml"),
         ("seed: " + "1" * 2_000_000, "larger than 1 MiB"),
     ],
+    fast=3,
 )
 def test_an_untrusted_config_is_refused(run: Path, text: str, words: str) -> None:
     file = run / "config.yaml"
@@ -294,7 +299,7 @@ def test_a_later_key_of_a_level_counts_where_it_has_a_value() -> None:
     assert config_hash(named) != config_hash(plan)
 
 
-@pytest.mark.parametrize("value", ["[]", "[[]]", "[[1,2]]", "[[1,2,256]]", "[[1,2,-3]]"])
+@family("value", ["[]", "[[]]", "[[1,2]]", "[[1,2,256]]", "[[1,2,-3]]"], fast=2)
 def test_an_invalid_colour_is_refused_with_a_valid_example(value: str) -> None:
     plan = ["house=floorplan", "house.path=apartment"]
     with pytest.raises(BadInput, match=r"house.free_colours: must be colours \[red, green, blue\]"):

@@ -56,6 +56,7 @@ def test_weights_are_those_of_that_width_without_a_budget() -> None:
     assert all(map(torch.equal, sized.parameters(), plain.parameters()))
 
 
+@pytest.mark.slow
 def test_what_a_channel_learns_is_not_counted() -> None:
     over = ["channel=delayed", f"parameter_budget={BUDGET}"]
     late, perfect = learner(*over), learner(over[1])

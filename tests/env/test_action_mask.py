@@ -12,6 +12,7 @@ from marl_clean.config.fitting import check_fit
 from marl_clean.env.action_mask import KnownWalls
 from marl_clean.errors import BadInput
 from tests.env.resets import count_short_resets
+from tests.families import family
 from tests.world.play import env_of, start
 from tests.world.strategies import Case, cases
 
@@ -49,7 +50,7 @@ def test_every_mask_of_random_episodes_is_the_reference(case: Case) -> None:
             break
 
 
-@pytest.mark.parametrize("memory", MEMORIES)
+@family("memory", MEMORIES, fast=1)
 def test_the_spec_holds_and_steps_and_resets_are_torchrls(
     memory: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

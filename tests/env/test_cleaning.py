@@ -14,6 +14,7 @@ from marl_clean.house.base import draw_houses
 from marl_clean.house.rooms import Rooms
 from marl_clean.settings import HouseOrder, Memory, Sensor
 from marl_clean.world.rules import Rules
+from tests.families import family
 from tests.world.play import houses_of
 
 HOUSES = draw_houses(Rooms([6, 9], [6, 9]), range(40), n_agents=3)
@@ -48,7 +49,7 @@ def stepped(env, actions: torch.Tensor, tensordict=None) -> list:
     return steps
 
 
-@pytest.mark.parametrize("overrides", READINGS, ids=" ".join)
+@family("overrides", READINGS, fast=2, ids=" ".join)
 def test_specs_hold(overrides: list[str]) -> None:
     env = small_env(*overrides)
     check_env_specs(env, check_dtype=True)
@@ -113,7 +114,7 @@ def test_a_partial_reset_touches_no_other_world_and_no_recorded_step() -> None:
     assert torch.equal(fresh[keys.OBSERVATION], after[keys.OBSERVATION])
 
 
-@pytest.mark.parametrize("overrides", READINGS, ids=" ".join)
+@family("overrides", READINGS, fast=2, ids=" ".join)
 def test_a_loaded_state_resumes_exactly(overrides: list[str]) -> None:
     actions = actions_for(60, 6)
     env = small_env(*overrides, "env.stuck_after=10")

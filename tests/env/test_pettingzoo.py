@@ -25,18 +25,19 @@ from marl_clean.config.compose import compose_config
 from marl_clean.env import pettingzoo
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.episodes import run_episodes
+from tests.families import family
 
 SPREAD = ["experiment=spread", "env.num_envs=3"]
 SHORT = [
-    "trainer.total_frames=2016",
+    "trainer.total_frames=1056",
     "trainer.frames_per_batch=96",
     "trainer.start_frames=200",
     "trainer.replay_ratio=0.25",
-    "trainer.batch_frames=32",
+    "trainer.batch_frames=16",
     "trainer.buffer_frames=1000",
-    "trainer.log_interval_frames=480",
-    "trainer.eval_interval_frames=1008",
-    "trainer.checkpoint_interval_frames=480",
+    "trainer.log_interval_frames=240",
+    "trainer.eval_interval_frames=528",
+    "trainer.checkpoint_interval_frames=240",
     "evaluation.houses=4",
 ]
 
@@ -182,7 +183,7 @@ def test_contact_is_fixed_and_the_others_are_ranked_in_order(topology: str, live
         assert (moment[keys.DISTANCE_RANK] == torch.tensor([[0, 1, 2], [1, 0, 2], [1, 2, 0]])).all()
 
 
-@pytest.mark.parametrize(
+@family(
     ("overrides", "words"),
     [
         *[([f"topology={level}"], "valid: full, none") for level in ("view", "radius", "sight")],
@@ -195,6 +196,7 @@ def test_contact_is_fixed_and_the_others_are_ranked_in_order(topology: str, live
         (["env.options={continuous_actions: true}"], "must be a Discrete"),
         (["env.options={M: 1}"], "'M'"),
     ],
+    fast=3,
 )
 def test_what_does_not_fit_is_one_line(overrides: list[str], words: str) -> None:
     cfg = compose_config([*SPREAD, *overrides])
@@ -274,7 +276,7 @@ def test_a_run_trains_measures_and_draws(tmp_path: Path, comm: str) -> None:
     assert int(rows[-1]["updates"]) > 10
     losses = [float(row["loss"]) for row in rows if row["loss"]]
     assert losses and all(map(math.isfinite, losses))
-    assert [row["frames"] for row in rows if row["validation/return"]] == ["1056", "2016"]
+    assert [row["frames"] for row in rows if row["validation/return"]] == ["576", "1056"]
     assert entries == json.loads((folder / "evaluation.json").read_text())
     assert [entry["policy"] for entry in entries] == ["mine", "random"]
     ours, random = ([house["seed"] for house in entry["houses"]] for entry in entries)
@@ -324,7 +326,7 @@ def test_a_resumed_run_begins_new_episodes(
     assert begun[6:12] == first[6 * 5 : 6 * 6]
 
 
-@pytest.mark.parametrize(
+@family(
     ("arguments", "words"),
     [
         (["watch"], "no houses"),
@@ -335,6 +337,7 @@ def test_a_resumed_run_begins_new_episodes(
         (["train", "env.task=os.path"], "env.task: must name a task"),
         (["train", "env.n_agents=4"], "env.n_agents: no such key"),
     ],
+    fast=2,
 )
 def test_commands_refuse_in_one_line(
     tmp_path: Path,

@@ -199,6 +199,7 @@ def test_cic_of_a_robot_that_obeys_messages_is_their_entropy():
     assert result["cic"].item() == pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_robots_without_contact_are_not_counted():
     cfg, policy = policy_of("topology=none")
     result = listening(cfg, policy, count=3, epsilon=0.1)

@@ -84,6 +84,7 @@ def test_epsilon_replaces_that_share_of_each_robots_actions(cfg):
     assert torch.equal(evaluator.with_random_actions(base, acted, 0.0), acted)
 
 
+@pytest.mark.slow
 def test_the_network_does_not_act_in_finished_episodes_and_records_are_the_same(cfg, monkeypatch):
     policy = Spread().train()
     long = cfg.copy()

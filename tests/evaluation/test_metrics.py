@@ -16,6 +16,7 @@ from marl_clean.settings import HouseOrder, Memory
 from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import in_view
 from tests import reference
+from tests.families import family
 
 UP, RIGHT, DOWN, LEFT = range(4)
 VIEW = 7
@@ -68,7 +69,7 @@ def played(env: CleaningEnv, actions, certify: bool = False, bits: int = 0) -> R
 HOUSES = ("....... ..#.... .......", "... .#. ... ..# ... .#. ...", ".....", "#.# ... #.#")
 
 
-@pytest.mark.parametrize("n_agents", [1, 3])
+@family("n_agents", [1, 3], fast=[3])
 @pytest.mark.parametrize("certify", [False, True])
 @pytest.mark.parametrize("memory", [Memory.SHARED, Memory.PRIVATE])
 def test_random_episodes_are_measured_as_by_the_plain_world(n_agents, certify, memory):

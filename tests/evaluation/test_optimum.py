@@ -17,6 +17,7 @@ from marl_clean.evaluation.bounds import bound_100
 from marl_clean.evaluation.evaluator import measure_planner
 from marl_clean.evaluation.optimum import optimal_T_100
 from marl_clean.evaluation.records import counted
+from tests.families import family
 from tests.reference import Place, neighbour
 from tests.world.strategies import grid, is_connected, several
 
@@ -67,6 +68,7 @@ def small_houses(draw: st.DrawFn) -> tuple[set[Place], tuple[int, int], list[Pla
     return free, (rows, cols), starts
 
 
+@pytest.mark.slow
 @given(small_houses())
 @hypothesis_settings(max_examples=60, deadline=None)
 def test_the_optimum_is_that_of_a_search_over_all_schedules(drawn) -> None:
@@ -97,7 +99,7 @@ def test_what_cannot_be_proven_in_the_limit_is_null() -> None:
 SMALL = ["house.rows=[6, 7]", "house.cols=[6, 7]", "evaluation.houses=5"]
 
 
-@pytest.mark.parametrize("n_agents", [1, 2])
+@family("n_agents", [1, 2], fast=1)
 def test_an_evaluation_adds_the_optimum_and_the_gap_and_changes_nothing_else(n_agents) -> None:
     settings = [*SMALL, f"env.n_agents={n_agents}"]
     plain = measure_planner(compose_config(settings))

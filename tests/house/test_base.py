@@ -158,6 +158,7 @@ def test_a_loaded_plan_of_one_cell_serves_nobody() -> None:
         draw_houses(Handed("#.#"), [0], n_agents=1)
 
 
+@pytest.mark.slow
 def test_a_bank_has_as_many_distinct_houses_as_asked_for() -> None:
     bank = draw_bank(Rooms([10, 10], [10, 10]), 4096, n_agents=2)
     assert len({free.tobytes() for free in bank.free}) == len(bank) == 4096

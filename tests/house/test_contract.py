@@ -9,11 +9,12 @@ import pytest
 from marl_clean.config.levels import rooms
 from marl_clean.house.base import House, HouseLayout
 from marl_clean.testing import ContractBroken, check_house
+from tests.families import family
 
 FILES = {"floorplan": {"path": "apartment"}}
 
 
-@pytest.mark.parametrize("level", rooms()["house"])
+@family("level", rooms()["house"], fast=2)
 def test_the_contract(level: str) -> None:
     check_house(level, **FILES.get(level, {}))
 

@@ -18,6 +18,7 @@ from marl_clean.house.mixture import Mixture
 from marl_clean.house.open import Open
 from marl_clean.house.rooms import Rooms
 from marl_clean.settings import LARGEST_SIDE, HouseOrder
+from tests.families import family
 
 SIDES = [[5, 6], [8, 9], [12, 14]]
 SEEDS = range(400)
@@ -183,7 +184,7 @@ def test_records_name_the_seed_of_a_drawn_house_and_the_path_of_a_plan() -> None
     assert all(house["bound_100"] > 0 for house in entry["houses"])
 
 
-@pytest.mark.parametrize(
+@family(
     ("setting", "words"),
     [
         ("house.sides=[]", "house.sides"),
@@ -200,6 +201,7 @@ def test_records_name_the_seed_of_a_drawn_house_and_the_path_of_a_plan() -> None
         ("house.plans=[flat.txt] env.n_agents=7", "valid for env.n_agents: 1 to 6"),
         ("house.sides=[[3,3]]", "env.n_agents"),
     ],
+    fast=3,
 )
 def test_wrong_settings_are_named_in_one_line(
     two_starts: str, setting: str, words: str, capsys: pytest.CaptureFixture[str]

@@ -16,6 +16,7 @@ from marl_clean.learning.symmetry import (
 )
 from marl_clean.testing import check_agent
 from tests.agent.parts import LEARNERS, STATE_SHAPE, make_learner, transitions
+from tests.families import family
 
 COUNT = 200
 ON_POLICY = ("pqn", "ippo", "mappo")
@@ -142,6 +143,6 @@ def test_the_advantages_of_dueling_are_averaged_over_all_actions() -> None:
     assert (shown[~mask] == torch.finfo(torch.float32).min).all()
 
 
-@pytest.mark.parametrize("level", ["iql", "qmix", "central_dqn", "pqn", "ippo"])
+@family("level", ["iql", "qmix", "central_dqn", "pqn", "ippo"], fast=["iql"])
 def test_the_contract_where_walls_are_masked(level: str) -> None:
     check_agent(level, precision="float32", mask_walls=True)

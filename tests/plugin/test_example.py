@@ -57,8 +57,18 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def trained(site: Path) -> Path:
-    """A folder in which a run with the package's levels was trained."""
-    done = python("-m", "marl_clean", "train", *TINY, at=site.parent, paths=[site])
+    """A folder in which a run with the package's levels was trained and measured, by a process.
+
+    And its planner was measured in its house.
+    """
+    of_planner = ["planner=right_hand", "house=corridor", "out=right_hand.json"]
+    commands = [
+        ["train", *TINY],
+        ["evaluate", "checkpoint=tidy", "evaluation.houses=2", "out=tidy.json"],
+        ["evaluate", *of_planner, "evaluation.houses=2"],
+    ]
+    program = f"from marl_clean.cli import main; assert [*map(main, {commands})] == [0, 0, 0]"
+    done = python("-c", program, at=site.parent, paths=[site])
     assert done.returncode == 0, done.stderr
     return site.parent
 
@@ -75,13 +85,8 @@ def test_installed_its_levels_are_there(site: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_is_trained_and_measured_with_them(trained: Path, site: Path) -> None:
-    """And its planner is measured in its house."""
-    of_planner = ["planner=right_hand", "house=corridor"]
-    for policy, asked in (("tidy", ["checkpoint=tidy"]), ("right_hand", of_planner)):
-        again = ["evaluate", *asked, "evaluation.houses=2", f"out={policy}.json"]
-        done = python("-m", "marl_clean", *again, at=trained, paths=[site])
-        assert done.returncode == 0, done.stderr
+def test_a_run_is_trained_and_measured_with_them(trained: Path) -> None:
+    for policy in ("tidy", "right_hand"):
         assert f'"policy": "{policy}"' in (trained / f"{policy}.json").read_text()
 
 
