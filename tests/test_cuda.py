@@ -146,6 +146,7 @@ def take_the_path_of_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cleaning, "check_actions", lambda action: None)
 
 
+@pytest.mark.slow
 def test_nothing_else_is_read_from_a_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     take_the_path_of_a_gpu(monkeypatch)
     loop = loop_on("cpu", tmp_path)
@@ -202,6 +203,7 @@ def test_moves_are_the_listed_ones() -> None:
     assert torch.equal(moves_on(torch.device("cpu")), torch.tensor(MOVES))
 
 
+@pytest.mark.slow
 def test_without_a_gpu_none_is_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

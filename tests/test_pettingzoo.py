@@ -19,6 +19,7 @@ from marl_clean.errors import BadInput
 from marl_clean.pettingzoo import ParallelCleaning, parallel_env
 from marl_clean.world.dynamics import MOVES
 from marl_clean.world.shared_map import map_value, union_of_maps
+from tests.families import family
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -247,7 +248,7 @@ def test_a_plain_box_where_nothing_else_is_in_it(
     assert (shown == copied).all()
 
 
-@pytest.mark.parametrize(
+@family(
     ("spoil", "words"),
     [
         (lambda: parallel_env(["env.n_agent=3"]), "env.n_agent: no such key"),
@@ -264,6 +265,7 @@ def test_a_plain_box_where_nothing_else_is_in_it(
         (lambda: started().step({"robot_0": -1, "robot_1": 0}), "robot_0=-1: must be 0 to 3"),
         (lambda: started().step({"robot_0": 0.5, "robot_1": 1}), "robot_0=0.5"),
     ],
+    fast=3,
 )
 def test_bad_input_is_one_line(spoil: Any, words: str) -> None:
     with pytest.raises(BadInput, match=words) as caught:

@@ -4,6 +4,7 @@ import math
 from collections import deque
 from itertools import product
 
+import pytest
 import torch
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
@@ -166,6 +167,7 @@ class PlainCompass:
         return [*cut, 1.0, 1 / (1 + math.hypot(row, col))]
 
 
+@pytest.mark.slow
 @given(
     case=cases(max_agents=4),
     side=st.sampled_from([3, 5, 7]),

@@ -2,6 +2,7 @@
 
 from collections import deque
 
+import pytest
 import torch
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
@@ -57,6 +58,7 @@ def expected_plane(
     return plane
 
 
+@pytest.mark.slow
 @given(
     case=cases(max_agents=3),
     side=st.sampled_from([1, 3, 5, 7]),

@@ -13,6 +13,7 @@ from marl_clean.config.levels import read_level, rooms
 from marl_clean.errors import BadInput
 from marl_clean.house.base import draw_houses
 from marl_clean.house.rooms import Rooms
+from tests.families import family
 
 LEVELS = rooms()["observation"]
 HOUSES = draw_houses(Rooms([5, 9], [5, 9]), range(20), n_agents=3)
@@ -38,7 +39,7 @@ def level_pairs() -> list[tuple[str, str]]:
     return [(level, encoder) for level in LEVELS for encoder in rooms()["encoder"]]
 
 
-@pytest.mark.parametrize(("level", "encoder"), level_pairs())
+@family(("level", "encoder"), level_pairs(), fast=4)
 def test_a_pair_builds_a_network_or_is_refused_in_a_line(level: str, encoder: str) -> None:
     config = compose_config([f"observation={level}", f"encoder={encoder}", "env.n_agents=3"])
     env = make_env(config, HOUSES, num_envs=2)
@@ -51,7 +52,7 @@ def test_a_pair_builds_a_network_or_is_refused_in_a_line(level: str, encoder: st
     assert action.shape == (2, 3)
 
 
-@pytest.mark.parametrize("side", [1, 61])
+@family("side", [1, 61], fast=[61])
 @pytest.mark.parametrize("level", ["crop", "frontier", "pyramid"])
 def test_a_square_of_any_odd_side(level: str, side: int) -> None:
     env = env_of(level, f"observation.view_size={side}", "env.memory=private", num_envs=2)

@@ -18,6 +18,7 @@ from marl_clean.observation.distances import Distances
 from marl_clean.observation.global_map import GlobalMap
 from marl_clean.observation.pyramid import Pyramid
 from marl_clean.settings import Memory
+from tests.families import family
 from tests.observation import plain
 from tests.reference import Settings, World
 from tests.world.play import env_of, start, topology_of
@@ -65,6 +66,7 @@ def test_a_crop_is_around_where_the_robot_thinks_it_is(case: Case, side: int, no
     assert_sees([case], Crop(side, noise), expected)
 
 
+@pytest.mark.slow
 @given(case=small_cases, side=sides, scales=st.integers(2, 4), noise=noises)
 @hypothesis_settings(max_examples=25, deadline=None)
 def test_a_pyramid_counts_cells(case: Case, side: int, scales: int, noise: float) -> None:
@@ -94,7 +96,7 @@ def test_a_global_map_is_all_of_it(case: Case) -> None:
     assert_sees([case], GlobalMap(LARGEST), expected)
 
 
-@pytest.mark.parametrize("memory", Memory)
+@family("memory", Memory, fast=1)
 @given(data=st.data())
 @hypothesis_settings(max_examples=6, deadline=None)
 def test_houses_of_several_sizes_are_seen_as_each_alone(

@@ -4,6 +4,7 @@ import pytest
 
 from marl_clean.planner.base import Planner
 from marl_clean.testing import ContractBroken, check_planner
+from tests.families import family
 
 
 class SeesWhatIsClean(Planner):
@@ -37,7 +38,7 @@ class Nameless(SeesWhatIsClean):
     label = "one\nand another"
 
 
-@pytest.mark.parametrize(
+@family(
     ("wrong", "broken"),
     [
         (SeesWhatIsClean, "reads what no robot knows: step 0, env.sensor=bump"),
@@ -46,12 +47,14 @@ class Nameless(SeesWhatIsClean):
         (Impatient, "differs when called twice in step 0: at"),
         (Nameless, "not one short line"),
     ],
+    fast=2,
 )
 def test_the_contract_refuses(wrong: type[Planner], broken: str) -> None:
     with pytest.raises(ContractBroken, match=f"^planner={wrong.__name__}: .*{broken}"):
         check_planner(wrong)
 
 
+@pytest.mark.slow
 def test_a_planner_that_does_not_finish_breaks_the_contract() -> None:
     with pytest.raises(ContractBroken, match="planner=random: .* houses .* are not finished"):
         check_planner("random")

@@ -171,6 +171,7 @@ def test_from_the_middle_of_a_corridor_it_goes_to_one_end_and_back_to_the_other(
     assert len(tours([(free, shape, middle)])[0]) - 1 == 3 + 6
 
 
+@pytest.mark.slow
 def test_several_robots_share_what_is_done_and_begin_anew_in_each_episode() -> None:
     free = {(row, col) for row in range(6) for col in range(7)}
     env = env_of([case_of(free, (6, 7), [(0, 0), (5, 6)], sensor=Sensor.BUMP, max_steps=30)])

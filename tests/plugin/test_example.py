@@ -73,6 +73,7 @@ def trained(site: Path) -> Path:
     return site.parent
 
 
+@pytest.mark.slow
 def test_installed_its_levels_are_there(site: Path, tmp_path: Path) -> None:
     listed = python("-m", "marl_clean", "list", at=tmp_path, paths=[site])
     assert listed.returncode == 0, listed.stderr

@@ -4,9 +4,12 @@ import subprocess
 import sys
 from importlib.resources import files
 
+import pytest
+
 import marl_clean
 
 
+@pytest.mark.slow
 def test_importing_it_imports_no_torch_and_using_it_does() -> None:
     script = (
         "import sys, marl_clean\n"

@@ -15,6 +15,7 @@ from marl_clean.config.compose import compose_config, container
 from marl_clean.errors import BadInput
 from marl_clean.python.keywords import Settings, _text, overrides_of
 from marl_clean.settings import Memory
+from tests.families import family
 
 SAME: list[tuple[Settings, dict[str, Any], list[str]]] = [
     (None, {}, []),
@@ -46,7 +47,7 @@ SAME: list[tuple[Settings, dict[str, Any], list[str]]] = [
 ]
 
 
-@pytest.mark.parametrize(("settings", "keywords", "overrides"), SAME)
+@family(("settings", "keywords", "overrides"), SAME, fast=4)
 def test_both_spellings_make_the_same_config(
     settings: Settings, keywords: dict[str, Any], overrides: Sequence[str]
 ) -> None:
@@ -86,7 +87,7 @@ def test_bad_keywords_are_one_line(
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
+@family(
     ("keywords", "override"),
     [
         ({"comm": "tarmak"}, "comm=tarmak"),
@@ -95,6 +96,7 @@ def test_bad_keywords_are_one_line(
         ({"env.n_agent": 3}, "env.n_agent=3"),
         ({"device": "tpu"}, "device=tpu"),
     ],
+    fast=2,
 )
 def test_what_the_command_refuses_is_refused_in_its_words(
     keywords: dict[str, Any], override: str, capsys: pytest.CaptureFixture[str]

@@ -3,12 +3,12 @@
 import io
 
 import matplotlib
-import pytest
 
 from marl_clean import keys
 from marl_clean.config.compose import compose_config
 from marl_clean.report.axes import STYLE
 from marl_clean.report.figures import _watched, draw_figure
+from tests.families import family
 
 SIZES = ["house.rows=[6,7]", "house.cols=[8,9]"]
 SMALL = [
@@ -47,9 +47,10 @@ def test_figure_3_shows_the_layers_that_ran_with_their_shapes():
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(
+@family(
     "change",
     ["encoder.hidden=[12,10]", "encoder.channels=[4,8]", "agent.dueling=false", "comm=plan"],
+    fast=1,
 )
 def test_another_layer_changes_figure_3(change):
     before, texts = drawn("paper_3", "comm=none")

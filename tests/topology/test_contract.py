@@ -6,9 +6,10 @@ import torch
 from marl_clean.config.levels import rooms
 from marl_clean.testing import ContractBroken, check_topology
 from marl_clean.topology.base import Topology
+from tests.families import family
 
 
-@pytest.mark.parametrize("level", rooms()["topology"])
+@family("level", rooms()["topology"], fast=2)
 def test_the_contract(level: str) -> None:
     check_topology(level)
 
@@ -62,7 +63,7 @@ class OneWayAmong(Right):
         return torch.ones(n_agents, n_agents, dtype=torch.bool).triu(1)
 
 
-@pytest.mark.parametrize(
+@family(
     ("wrong", "broken"),
     [
         (OneWay, "not mutual at"),
@@ -73,6 +74,7 @@ class OneWayAmong(Right):
         (Numbers, "bool"),
         (OneWayAmong, r"among\(2\): contact is not mutual"),
     ],
+    fast=2,
 )
 def test_the_contract_refuses(wrong: type[Topology], broken: str) -> None:
     check_topology(Right)

@@ -16,6 +16,7 @@ from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer._warm_start import WarmStart
 from marl_clean.trainer.off_policy import OffPolicy
 from tests.agent.parts import LEARNERS, make_agent
+from tests.families import family
 from tests.trainer.killing import Killed, kill_after
 from tests.trainer.probe import Probe
 from tests.trainer.test_off_policy import SETTINGS
@@ -97,7 +98,7 @@ def test_masked_actions_are_not_imitated(loss) -> None:
     assert not value.grad.any()
 
 
-@pytest.mark.parametrize("level", LEARNERS)
+@family("level", LEARNERS, fast=2)
 def test_the_planner_acts_first_and_the_learner_then(level: str) -> None:
     agent, env, start = shown(level)
     start.at(99)
@@ -126,7 +127,7 @@ def agreement(agent: Agent, frames) -> float:
     return (acted == frames[keys.DEMONSTRATION]).float().mean().item()
 
 
-@pytest.mark.parametrize("level", LEARNERS)
+@family("level", LEARNERS, fast=1)
 def test_every_learner_imitates_the_demonstrations(level: str) -> None:
     agent, env, start = shown(level, "agent.lr=0.003", "agent.mask_walls=true")
     start.at(0)
@@ -143,7 +144,7 @@ def test_every_learner_imitates_the_demonstrations(level: str) -> None:
     assert agreement(agent, frames) > max(0.65, before + 0.2)
 
 
-@pytest.mark.parametrize("level", ["iql", "pqn", "ippo"])
+@family("level", ["iql", "pqn", "ippo"], fast=1)
 def test_rows_are_imitated_too(level: str) -> None:
     agent, env, start = shown(level, "encoder.memory=gru")
     start.at(0)

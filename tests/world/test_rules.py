@@ -8,6 +8,7 @@ from marl_clean.config.schema import instantiate
 from marl_clean.errors import BadInput
 from marl_clean.settings import Memory
 from marl_clean.world.rules import NEVER, Rules
+from tests.families import family
 
 WRONG = {
     "uncleaned_at_most": 0.5,
@@ -20,7 +21,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
+@family("name", WRONG, fast=3)
 def test_a_rule_out_of_range_is_refused_in_python_and_in_a_config(name: str) -> None:
     with pytest.raises(BadInput, match=f"^env.{name}: must be "):
         Rules(**{name: WRONG[name]})
