@@ -3,9 +3,11 @@
 Nothing else imports Hydra, whose inner modules move between its versions.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import copy
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from hydra import compose as hydra_compose
@@ -21,10 +23,10 @@ from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
 from hydra.initialize import get_gh_backup, restore_gh_from_backup
 from hydra.types import HydraContext, RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from marl_clean.config.locate import packages
+from marl_clean.config.locate import own, packages
 from marl_clean.config.schema import choices
 from marl_clean.errors import BadInput
 
@@ -91,10 +93,39 @@ def parse(text: str) -> Override:
 
 
 def compose(overrides: Sequence[Override]) -> DictConfig:
-    """The defaults of the packages' yaml files with settings on top. Raises NotComposed."""
+    """The defaults of the packages' yaml files with settings on top. Raises NotComposed.
+
+    What the chosen levels compose to is kept, so that the jobs of a sweep, most of which differ in
+    values alone, do not wait for Hydra each. Values are set in a copy of it, as Hydra sets them.
+    """
+    groups = {path.name for path in own().conf.iterdir()}
+    values = [o for o in overrides if not (o.key in groups or o.of_hydra or "/" in o.key)]
+    levels = tuple(override.setting for override in overrides if override not in values)
+    config = copy.deepcopy(_composed(levels, _state_of_files()))
+    try:
+        for override in values:
+            OmegaConf.update(config, override.key, override.value, merge=True)
+    except OmegaConfBaseException:
+        return _by_hydra(override.setting for override in overrides)  # which says what is wrong
+    return config
+
+
+@lru_cache(maxsize=64)
+def _composed(settings: tuple[str, ...], state_of_files: Hashable) -> DictConfig:
+    return _by_hydra(settings)
+
+
+def _state_of_files() -> Hashable:
+    """What changes when a yaml file of a package does."""
+    paths = (path for package in packages() for path in sorted(package.conf.rglob("*.yaml")))
+    states = ((path, path.stat()) for path in paths)
+    return tuple((str(path), state.st_mtime_ns, state.st_size) for path, state in states)
+
+
+def _by_hydra(settings: Iterable[str]) -> DictConfig:
     with _hydra():
         try:
-            return hydra_compose(CONFIG_NAME, [override.setting for override in overrides])
+            return hydra_compose(CONFIG_NAME, list(settings))
         except HydraException as error:
             raise NotComposed(first_line(error)) from None
 

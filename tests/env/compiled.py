@@ -10,6 +10,7 @@ import sys
 from typing import Any
 
 import torch
+from torch._inductor import config as inductor
 from torch._inductor.utils import run_and_get_code
 
 from marl_clean import build, keys
@@ -39,7 +40,7 @@ SIZE = re.compile(r"empty_strided_\w+\(\(([\d, ]+)\)")
 def main() -> None:
     torch._dynamo.config.fail_on_recompile_limit_hit = True  # not silently uncompiled
     # To find out what vectors the compiler can make takes seconds, and the graphs are the same.
-    torch._inductor.config.cpp.vec_isa_ok = False
+    inductor.cpp.vec_isa_ok = False
     settings = sys.argv[1:]
     plain, compiled = make(settings), make([*settings, "env.compile=true"])
     if not settings:
