@@ -20,7 +20,7 @@ from tests.agent.parts import STATE_SHAPE, collected, make_learner, transitions
 from tests.families import family
 
 SMALL = (*contract.SMALL, "agent=ippo", "trainer=on_policy", "agent.precision=float32")
-SIZES = ("house=open", "house.rows=[3,4]", "house.cols=[3,5]")
+SIZES = ("house=open", "house.rows=[3,4]", "house.cols=[3,5]", "train_houses=6")
 
 
 def played(*settings: str):

@@ -21,6 +21,7 @@ SMALL = (
     "house=open",
     "house.rows=[3,4]",
     "house.cols=[3,5]",
+    "train_houses=6",
 )
 CARRYING = {
     "nothing": (),

@@ -63,9 +63,10 @@ def test_the_discounted_sum_of_an_episode_depends_on_its_ends_alone(memory: str)
 
 
 def test_only_the_payment_includes_it() -> None:
-    shaped, plain = played(SHAPED), played(SMALL)
+    shaped, plain = played(SHAPED, steps=60), played(SMALL, steps=60)
     assert keys.INFO_SHAPING not in plain["next"].keys(True, True)
     assert torch.equal(shaped["next", keys.OWN_REWARD], plain["next", keys.OWN_REWARD])
+    assert plain["next", keys.DONE].any()
     assert torch.equal(shaped["next", keys.DONE], plain["next", keys.DONE])
     adjacency = plain[keys.ADJACENCY]
     earned = plain["next", keys.OWN_REWARD] + shaped["next", keys.INFO_SHAPING]

@@ -17,7 +17,13 @@ from marl_clean.evaluation.evaluator import (
 )
 from marl_clean.keys import ACTION, ADJACENCY, MESSAGE_BITS, OBSERVATION
 
-SMALL = ["house.rows=[5, 6]", "house.cols=[5, 9]", "evaluation.houses=6", "env.max_steps=40"]
+SMALL = [
+    "house.rows=[5, 6]",
+    "house.cols=[5, 9]",
+    "train_houses=8",
+    "evaluation.houses=6",
+    "env.max_steps=40",
+]
 
 
 @pytest.fixture(scope="module")
