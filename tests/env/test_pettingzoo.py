@@ -265,6 +265,7 @@ def train(folder: Path, *overrides: str) -> list[dict[str, Any]]:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("comm", ["plan", "none"])
 def test_a_run_trains_measures_and_draws(tmp_path: Path, comm: str) -> None:
     folder = tmp_path / "mine"

@@ -27,7 +27,7 @@ SMALL = [
 SHAPED = [*SMALL, f"env.shaping={WEIGHT}"]
 
 
-def played(settings: list[str], steps: int = 300):
+def played(settings: list[str], steps: int = 150):
     env = build.make_env(compose_config(settings))
     frame, frames = env.reset(), []
     generator = torch.Generator().manual_seed(1)
