@@ -94,11 +94,9 @@ def definition(target: str) -> ast.ClassDef:
 def parameters(target: str) -> dict[str, Parameter]:
     """The parameters of `target`'s constructor that a config can set, by name.
 
-    A parameter whose annotation is not made of builtins and `marl_clean.settings` (a network, an
-    env) is passed in code and is left out. A parameter whose default is a record, as in
-    `rules: Rules = Rules()`, stands for the record's fields.
-
-    Raises BadInput when `target` is no class of our packages.
+    One whose annotation is not made of builtins and `marl_clean.settings` (a network, an env) is
+    passed in code and left out. One whose default is a record, as in `rules: Rules = Rules()`,
+    stands for the record's fields. Raises BadInput when `target` is no class of our packages.
     """
     return dict(_parameters(class_of(target)))
 
@@ -116,10 +114,8 @@ def takes(target: str, part: str) -> bool:
 def constant(target: str, name: str) -> Any:
     """What the body of the class `target`, or the nearest base that has it, sets `name` to.
 
-    None where no class sets it. An annotation without a value declares it, and sets nothing.
-
-    Raises BadInput, naming class and line, where its value cannot be read: a constant is written
-    out in the class's body, of literals and names of `marl_clean.settings`.
+    None where no class sets it; an annotation without a value sets nothing. Raises BadInput, naming
+    class and line, where its value is not made of literals and names of `marl_clean.settings`.
     """
     if (found := _statement(class_of(target), name)) is None:
         return None
