@@ -12,7 +12,7 @@ from marl_clean.evaluation.records import means
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("run", "most_steps"),
-    [("approach_2_frontier", 50), ("any_house", 110)],  # nearest_unknown needs 47 and 107
+    [("approach_2_frontier", 50), ("any_house", 110)],  # nearest_unknown needs 47 and 104
 )
 def test_a_shipped_policy_cleans_validation_houses(run: str, most_steps: int) -> None:
     """A silent change of dynamics, observation or network would show here.
