@@ -28,7 +28,7 @@ class Comparison:
     rows: Mapping[str, Sequence[str]]
 
 
-ANY_HOUSE = ["experiment=any_house"]
+ANY_HOUSE = ["experiment=any_house", "trainer.imitate=null", "env.wall_pays=1"]
 COMPARISONS = {
     "single": Comparison(
         "Does one learning robot beat the walk to the nearest unknown cell? (§3.2)",
@@ -87,9 +87,10 @@ COMPARISONS = {
         },
     ),
     "parts": Comparison(
-        "What is each part of any_house worth?",
+        "What is each part of any_house worth? (One part changed against the second row.)",
         {
-            "any_house": ANY_HOUSE,
+            "any_house": ["experiment=any_house"],
+            "no planner first, walls pay 1": ANY_HOUSE,
             "crop instead of compass": [*ANY_HOUSE, "observation=crop", "encoder=cnn"],
             "frontier instead of compass": [*ANY_HOUSE, "observation=frontier", "encoder=cnn"],
             "walls not masked": [*ANY_HOUSE, "agent.mask_walls=false"],

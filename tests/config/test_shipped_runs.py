@@ -12,7 +12,7 @@ from marl_clean.errors import BadInput
 from marl_clean.storage.manifest import weights_sha256
 
 HASHES = {
-    "any_house": "106a91dc2a6045590d9df8446733dc906c27a3ad55087b1fce54af0b7bac595e",
+    "any_house": "fde2be357b6d917562baaea51835992a8cfb2f2d113f15c449dac7cce19843c0",
     "approach_2_frontier": "0513bbccaf27501a7d877b4edbf81b4f8b0260a64e6ba10b30800f70342b17b3",
     "longer_horizon": "6f2e8129376a9e507e204acfa0479b37d7d09e6d760471d1473855200f93bf78",
 }
