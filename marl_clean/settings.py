@@ -5,7 +5,7 @@ No torch here: the commands check a config against these types before torch is i
 
 import re
 from enum import Enum, StrEnum
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Literal, TypedDict, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
@@ -143,21 +143,18 @@ RangeCells = Annotated[int, Field(ge=1, le=1024)]
 LONGEST_NAME = 200  # of a run; file systems take 255 bytes a folder
 LARGEST_SIDE = 4096  # rows or columns of a house in cells, or of its image in pixels
 HouseSide = Annotated[int, Field(ge=1, le=LARGEST_SIDE)]
-Range = Annotated[
-    list[HouseSide],
+_Number = TypeVar("_Number", bound=int)
+_LowAndHigh = Annotated[
+    list[_Number],
     Field(min_length=2, max_length=2),
     AfterValidator(_ascending),
     BeforeValidator(_two_numbers),
 ]
+Range = _LowAndHigh[HouseSide]
 Ranges = Annotated[list[Range], Field(min_length=1)]
-MarginSide = Annotated[int, Field(ge=0, le=LARGEST_SIDE)]
-MarginRange = Annotated[
-    list[MarginSide],
-    Field(min_length=2, max_length=2),
-    AfterValidator(_ascending),
-    BeforeValidator(_two_numbers),
+Margins = Annotated[
+    list[_LowAndHigh[Annotated[int, Field(ge=0, le=LARGEST_SIDE)]]], Field(min_length=1)
 ]
-Margins = Annotated[list[MarginRange], Field(min_length=1)]
 Kinds = Annotated[list[Literal["rooms", "single_room", "cluttered", "open"]], Field(min_length=1)]
 
 

@@ -32,10 +32,14 @@ def check_house(config: DictConfig) -> None:
     """
     if not has_houses(config):
         return
-    for part in instantiate(config.house).parts():
+    house = instantiate(config.house)
+    widest = max(high for _, high in getattr(house, "margins", [[0, 0]]))
+    for part in house.parts():
         houses = draw_houses(part, split_seeds("test", 1), config.env.n_agents)
         sides = [getattr(part, key, [0])[-1] for key in ("rows", "cols")]  # others may be larger
-        _check_sees(config, *map(max, zip(sides, houses.free.shape[1:], strict=True)))
+        around = 2 * widest if part.generated else 0
+        largest = map(max, zip(sides, houses.free.shape[1:], strict=True))
+        _check_sees(config, *(side + around for side in largest))
 
 
 def check_shows_houses(config: DictConfig) -> None:

@@ -1,4 +1,4 @@
-"""Comparisons, those that the paper argues for but never ran among them: each trains what it needs.
+"""Comparisons, some of which the paper argues for but never ran: each trains what it needs.
 
 `marl-clean figure NAME budget=smoke|small|full seed=0,1,2`: a row is one preset or setting, its
 runs are those that `marl-clean train` with the same settings makes, so nothing is trained twice.
@@ -87,7 +87,7 @@ COMPARISONS = {
         },
     ),
     "parts": Comparison(
-        "What is each part of any_house worth? (One part changed against the second row.)",
+        "What is each part of any_house worth? (Each row changes the second.)",
         {
             "any_house": ["experiment=any_house"],
             "no planner first, walls pay 1": ANY_HOUSE,
@@ -109,6 +109,7 @@ COMPARISONS = {
             "discount 0.95": [*ANY_HOUSE, "agent.gamma=0.95", "agent.gamma_end=null"],
             "PQN instead of PPO": [
                 "experiment=any_house_task",
+                "env.wall_pays=1",
                 "agent=pqn",
                 "trainer=on_policy",
                 "trainer.epochs=2",

@@ -28,12 +28,12 @@ class Mixture(House):
     With probability `plans_share` one of `plans`, uniformly; else one of `sides` and one of
     `kinds`, uniformly over the entries of each list, so that an entry listed twice comes twice as
     often. `rooms` are those of `house=rooms`, `single_room` the same without dividing walls,
-    `cluttered` with twice the furniture in smaller pieces, which leave narrow gaps, `open` floors
-    without walls. Around a generated house lie as many blocked cells on each side as one of
-    `margins`, picked too, allows, each side drawn: as around the rooms of a scanned plan. A `.txt`
-    among `plans` is read as `house=drawn` reads it, any other file as `house=floorplan` does; a
-    shipped name is the drawn one, whose furniture can move. The part depends on the seed alone, so
-    that a redraw stays within its part.
+    `cluttered` with twice as many pieces of furniture, smaller ones, which leave narrow gaps,
+    `open` floors without walls. Around a generated house lie blocked cells, as around the rooms of
+    a scanned plan: one of `margins` is picked, and each side's number of them drawn from it. A
+    `.txt` among `plans` is read as `house=drawn` reads it, any other file as `house=floorplan`
+    does; a shipped name is the drawn one, whose furniture can move. The part depends on the seed
+    alone, so that a redraw stays within its part.
 
     Paper §3.4 (thousands of different environments, which vary on sizes and room plans).
     Raises BadInput for an invalid range, or a floor plan that cannot be used.

@@ -193,6 +193,10 @@ def test_records_name_the_seed_of_a_drawn_house_and_the_path_of_a_plan() -> None
         ("house.sides=[8,9]", "house.sides"),
         ("house.margins=[[3,2]]", "house.margins"),
         ("house.margins=[[-1,2]]", "house.margins"),
+        (
+            "house.margins=[[0,0],[0,3]] observation=global_map observation.largest_side=20",
+            "at least 26",
+        ),
         ("house.kinds=[]", "house.kinds"),
         ("house.kinds=[rooms,opn]", "open"),
         ("house.plans_share=1.5", "house.plans_share"),
