@@ -5,12 +5,18 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from jaxtyping import config, install_import_hook
+from jaxtyping import config
 
-install_import_hook("marl_clean", "beartype.beartype")
+from tests import checks
+
+checks.install()
 
 import pytest  # noqa: E402  (nothing may import the package before the hook)
 import torch  # noqa: E402
+
+
+def pytest_runtest_setup() -> None:
+    checks.calls.clear()
 
 
 @pytest.fixture
