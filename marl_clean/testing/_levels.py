@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from marl_clean.config import schema
 from marl_clean.config.compose import compose_config
 from marl_clean.config.config_hash import container
-from marl_clean.config.levels import SEVERAL
+from marl_clean.config.levels import SEVERAL, read_level, rooms
 from marl_clean.errors import BadInput
 
 Level = str | type
@@ -71,7 +71,14 @@ def maker(room: str, level: Level, settings: Mapping[str, Any]) -> Maker:
 
 @cache
 def level_section(room: str, level: str) -> DictConfig:
-    """Return a level's values by its yaml; cached, since composing takes longer than a clause."""
+    """Return a level's values by its yaml; cached, since composing takes longer than a clause.
+
+    Only what refers to other rooms needs composing at all.
+    """
+    if level in rooms()[room]:
+        values = read_level(room, level)
+        if "${" not in str(values):
+            return OmegaConf.create(values)
     composed = compose_config([f"{room}=[{level}]" if room in SEVERAL else f"{room}={level}"])
     return composed[room][level] if room in SEVERAL else composed[room]
 

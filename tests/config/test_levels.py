@@ -1,9 +1,8 @@
 """Levels as conf/ lists them: what several share stands in one file, and is no level itself."""
 
 import pytest
-from omegaconf import OmegaConf
 
-from marl_clean.config.compose import compose_config
+from marl_clean.config.compose import compose_config, unchecked
 from marl_clean.config.levels import SEVERAL, groups, is_target, read_level, rooms
 from marl_clean.errors import BadInput
 from tests.families import family
@@ -15,11 +14,16 @@ def test_what_levels_share_is_no_level() -> None:
         compose_config(["agent=_deep_q"])
 
 
-@family("room", sorted(set(rooms()) - {*SEVERAL, "topology"}), fast=["encoder"])
-def test_a_level_is_read_as_hydra_composes_it(room: str) -> None:
-    for level in rooms()[room]:
-        section = OmegaConf.to_container(compose_config([f"{room}={level}"])[room])
-        assert section == read_level(room, level)
+ROOMS = {room: rooms()[room] for room in sorted(set(rooms()) - {*SEVERAL, "topology"})}
+
+
+@family("number", range(max(map(len, ROOMS.values()))), fast=1)
+def test_levels_are_read_as_hydra_composes_them(number: int) -> None:
+    """One of every room at once, whether they go together or not: composing takes longer."""
+    chosen = {room: levels[number % len(levels)] for room, levels in ROOMS.items()}
+    composed = unchecked([f"{room}={level}" for room, level in chosen.items()])
+    for room, level in chosen.items():
+        assert composed[room] == read_level(room, level)
 
 
 def test_a_target_is_the_class_of_a_level_of_its_room() -> None:
