@@ -1,5 +1,6 @@
 """The probe: schemes that talk open the right door, silent ones guess."""
 
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,9 @@ from tests.comm.doors import doors_for, share_right
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread", "unchecked")]
 
 FRAMES = 6_144
+IN_SILENCE = 4_096  # nearly all that talk need no more
+EVALUATIONS = 8  # in a training, which ends where one finds that it has learnt
+ENOUGH = 0.97
 WORLDS = 128  # on policy: many worlds and few updates, whose cost is in their number
 # Off policy: worlds, steps between learning, frames an update, learning rate.
 QUICK = (64, 4, 128, 5e-3)
@@ -50,7 +54,7 @@ def test_lambda_returns_of_the_last_block_teach_to_talk_too(tmp_path):
 
 def test_a_policy_that_draws_guesses_in_silence(tmp_path):
     agent = make_learner("ippo", "none", gamma=0.0, lr=5e-3, lr_end=5e-3)
-    train_on_policy(agent, tmp_path, hold=1)
+    train_on_policy(agent, tmp_path, hold=1, frames=IN_SILENCE)
     assert 0.4 <= share_right(agent, hold=1) <= 0.6
 
 
@@ -61,10 +65,12 @@ def test_a_policy_that_draws_hears_late_messages(tmp_path):
     assert share_right(agent, hold=2) > 0.95
 
 
-def right_after_training(folder: Path, comm: str, hold: int, **changes) -> float:
+def right_after_training(
+    folder: Path, comm: str, hold: int, frames: int = FRAMES, **changes
+) -> float:
     pace = CAREFUL if comm == "dial" else QUICK
     agent = make_agent(comm, **of_off_policy(pace), **changes)
-    train_off_policy(agent, folder, hold, pace)
+    train_off_policy(agent, folder, hold, pace, frames)
     return share_right(agent, hold)
 
 
@@ -82,23 +88,40 @@ def train_on_policy(
         epochs=4,
         minibatch_frames=3 * worlds // 4,
         log_interval_frames=frames,
-        eval_interval_frames=frames,
+        eval_interval_frames=frames // EVALUATIONS,
         checkpoint_interval_frames=frames,
         select_by="return",
     )
-    run(trainer, agent, folder, doors_for(agent, hold, worlds))
+    run(trainer, agent, folder, doors_for(agent, hold, worlds), hold)
 
 
-def run(trainer: Trainer, agent: Agent, folder: Path, env: TransformedEnv) -> None:
+class Solved(Exception):
+    """Ends a training whose robots take the open door already."""
+
+
+def run(trainer: Trainer, agent: Agent, folder: Path, env: TransformedEnv, hold: int) -> None:
+    """Train for all frames, or until an evaluation finds that the robots take the open door."""
+
+    def evaluate(policy: object) -> dict[str, float]:
+        with torch.random.fork_rng([]):
+            if share_right(agent, hold) > ENOUGH:
+                raise Solved
+        return {"return": 0.0}
+
     torch.manual_seed(0)
-    trainer.train(env, agent, lambda policy: {"return": 0.0}, [Csv(folder)], folder)
+    with suppress(Solved):
+        trainer.train(env, agent, evaluate, [Csv(folder)], folder)
 
 
 def train_off_policy(
-    agent: Agent, folder: Path, hold: int, pace: tuple[int, int, int, float]
+    agent: Agent,
+    folder: Path,
+    hold: int,
+    pace: tuple[int, int, int, float],
+    frames: int = FRAMES,
 ) -> None:
     worlds, steps, batch_frames, _ = pace
-    frames = FRAMES if pace is QUICK else 8_192
+    frames = frames if pace is QUICK else 8_192
     trainer = OffPolicy(
         total_frames=frames,
         frames_per_batch=worlds * steps,
@@ -107,12 +130,12 @@ def train_off_policy(
         replay_ratio=4.0,
         start_frames=300,
         log_interval_frames=frames,
-        eval_interval_frames=frames,
+        eval_interval_frames=frames // EVALUATIONS,
         checkpoint_interval_frames=frames,
         select_by="return",
         window_frames=4,
     )
-    run(trainer, agent, folder, doors_for(agent, hold, worlds))
+    run(trainer, agent, folder, doors_for(agent, hold, worlds), hold)
 
 
 @pytest.mark.parametrize("comm", TALKING)
@@ -124,7 +147,7 @@ def test_who_talks_opens_the_right_door(tmp_path, comm):
 @pytest.mark.parametrize("comm", SILENT)
 def test_who_is_silent_guesses(tmp_path, comm):
     """Even at a door that waits, where whatever crosses within a step or a step late would help."""
-    assert 0.4 <= right_after_training(tmp_path, comm, hold=2) <= 0.6
+    assert 0.4 <= right_after_training(tmp_path, comm, hold=2, frames=IN_SILENCE) <= 0.6
 
 
 def test_a_message_that_comes_a_step_late_helps_only_if_the_door_waits(tmp_path):
@@ -133,5 +156,6 @@ def test_a_message_that_comes_a_step_late_helps_only_if_the_door_waits(tmp_path)
         folder = tmp_path / str(hold)
         folder.mkdir()
         channels = {"delayed": Delayed(**late)}
-        share = right_after_training(folder, "commnet", hold, channels=channels)
+        frames = FRAMES if right else IN_SILENCE
+        share = right_after_training(folder, "commnet", hold, frames, channels=channels)
         assert (share > 0.95) is right

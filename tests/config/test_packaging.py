@@ -60,7 +60,12 @@ def test_the_wheel_carries_the_trained_runs(built: Path) -> None:
         if path.is_file()
     }
     assert held == ours and len({path.parts[1] for path in ours}) == 3
-    arguments = ["evaluate", "checkpoint=approach_2_frontier", "evaluation.houses=1"]
+    arguments = [
+        "evaluate",
+        "checkpoint=approach_2_frontier",
+        "evaluation.houses=1",
+        "env.max_steps=30",
+    ]
     program = f"import sys; sys.path.insert(0, {str(site)!r}); import marl_clean.cli as c; "
     program += f"assert c.__file__.startswith({str(site)!r}); sys.exit(c.main({arguments!r}))"
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}

@@ -27,7 +27,7 @@ SETTINGS = [
     "trainer.buffer_frames=300",
     "trainer.log_interval_frames=128",
     "trainer.eval_interval_frames=256",
-    "trainer.checkpoint_interval_frames=192",
+    "trainer.checkpoint_interval_frames=96",
 ]
 
 
@@ -51,15 +51,15 @@ def train(folder, overrides, die_after: int | None = None) -> None:
 @pytest.mark.parametrize(
     "overrides",
     [
-        ["trainer.total_frames=512"],
-        ["trainer.total_frames=512", "env.memory=merged", "env.n_agents=3", "agent.augment=true"],
-        ["trainer.total_frames=512", "env.memory=private", "env.shaping=0.5"],
+        ["trainer.total_frames=384"],
+        ["trainer.total_frames=384", "env.memory=merged", "env.n_agents=3", "agent.augment=true"],
+        ["trainer.total_frames=384", "env.memory=private", "env.shaping=0.5"],
     ],
     ids=["shared", "merged", "shaped"],
 )
 def test_a_killed_run_ends_as_the_uninterrupted_one(tmp_path, overrides):
     train(tmp_path / "whole", overrides)
-    for die_after in (29, 30):
+    for die_after in (29, 20):  # states of 192 and 320 frames go on, each between two rows
         with pytest.raises(Killed):
             train(tmp_path / "killed", overrides, die_after=die_after)
     train(tmp_path / "killed", overrides)
@@ -71,6 +71,7 @@ def test_a_killed_run_ends_as_the_uninterrupted_one(tmp_path, overrides):
     assert all(torch.equal(weight, killed[name]) for name, weight in whole.items())
 
 
+@pytest.mark.slow
 def test_a_step_carried_by_an_earlier_version_goes_on() -> None:
     """It held nothing of what robots had earned, which was no observation then."""
     first, other = (

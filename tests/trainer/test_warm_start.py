@@ -137,11 +137,13 @@ def test_every_learner_imitates_the_demonstrations(level: str) -> None:
         learnt = agent.estimate(learnt)
     else:
         learnt[keys.STEPS_TO_NEXT_OBS] = torch.ones(learnt.batch_size, dtype=torch.int64)
-    before = agreement(agent, frames)
-    for _ in range(150):
+    enough = max(0.65, agreement(agent, frames) + 0.2)
+    for update in range(150):
         measured = agent.update(learnt.flatten())
         assert all(value.isfinite() for value in measured.values())
-    assert agreement(agent, frames) > max(0.65, before + 0.2)
+        if update % 10 == 9 and agreement(agent, frames) > enough:
+            return
+    pytest.fail(f"agrees in {agreement(agent, frames):.2f} after 150 updates, not in {enough:.2f}")
 
 
 @family("level", ["iql", "pqn", "ippo"], fast=1)
@@ -193,12 +195,12 @@ def train(folder, overrides: list[str], die_after: int | None = None) -> None:
 )
 def test_a_killed_run_ends_as_the_uninterrupted_one(tmp_path, level: str, planner: str) -> None:
     often = ["log_interval_frames=128", "eval_interval_frames=256"]
-    often += ["total_frames=512", "frames_per_batch=64", "checkpoint_interval_frames=128"]
+    often += ["total_frames=320", "frames_per_batch=64", "checkpoint_interval_frames=128"]
     shows = [f"imitate={planner}", "imitate_frames_share=0.6"]
     overrides = settings(level, *(f"trainer.{setting}" for setting in (*often, *shows)))
     train(tmp_path / "whole", overrides)
     with pytest.raises(Killed):
-        train(tmp_path / "killed", overrides, die_after=30)
+        train(tmp_path / "killed", overrides, die_after=22)  # while the planner acts, up to 192
     train(tmp_path / "killed", overrides)
     rows = [(tmp_path / name / "metrics.csv").read_text() for name in ("whole", "killed")]
     assert rows[0] == rows[1]
