@@ -100,6 +100,7 @@ def test_the_contract_with_other_critics(critic: str, memory: str) -> None:
     check_agent("ippo", precision="float32", critic=critic, critic_memory=memory)
 
 
+@pytest.mark.slow
 def test_the_contract_with_sampled_actions() -> None:
     check_agent("mappo", precision="float32", play="sampled", zero_head=True)
 

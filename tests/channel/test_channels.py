@@ -65,6 +65,7 @@ def test_rounds_of_a_step_share_their_fate():
     )
 
 
+@pytest.mark.slow
 def test_bursts_are_the_chain_that_gilbert_and_elliott_draw():
     lossy = Lossy(0.1, 0.05, 0.25, 0.9)
     state = torch.zeros(400, 2, 2, dtype=torch.bool)

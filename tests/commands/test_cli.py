@@ -195,6 +195,7 @@ def test_a_sweep_gives_every_combination_its_folder(place: Path, trained: list[s
     assert all(name.startswith("run-") for name in trained)
 
 
+@pytest.mark.slow
 def test_a_named_sweep_is_one_folder_of_jobs(place: Path, trained: list[str]) -> None:
     assert cli.main([*SWEEP, "name=lamp", "seed=range(0,3)"]) == 0
     assert len(trained) == 3 and files_in(place / "runs") == {"lamp"}

@@ -46,6 +46,7 @@ def write_run(folder, overrides: list[str], times: list[int | None], first_house
     return str(folder)
 
 
+@pytest.mark.slow
 def test_seeds_are_pooled_and_other_settings_are_not(tmp_path) -> None:
     runs = [
         write_run(tmp_path / "plan-s0", ["seed=0"], [40, 60]),
@@ -298,6 +299,7 @@ def test_tasks_of_others_are_compared_by_their_return(tmp_path) -> None:
     assert plan["return"]["mean"] == 9.5 and "T_90" not in plan
 
 
+@pytest.mark.slow
 def test_a_silent_row_is_the_reference_wherever_it_stands(tmp_path) -> None:
     runs = [
         write_run(tmp_path / f"{comm}-{reward}", [f"comm={comm}", f"reward={reward}"], [40, 60])

@@ -99,6 +99,7 @@ def test_the_limit_in_the_line_is_that_of_the_episodes(plan: list[str]) -> None:
     assert {house["max_steps"] for house in entry["houses"]} == {9}
 
 
+@pytest.mark.slow
 def test_an_entry_is_written_before_the_next_policy_is_measured(tmp_path: Path) -> None:
     """An interruption in the third policy leaves the two before it in the file."""
     settings = ["house=open", "house.rows=[3,3]", "house.cols=[3,3]", "evaluation.houses=2"]

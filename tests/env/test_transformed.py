@@ -94,6 +94,7 @@ def test_steps_and_resets_are_torchrls(case: str, monkeypatch: pytest.MonkeyPatc
         assert torch.equal(value, saved[name]), name
 
 
+@pytest.mark.slow
 def test_what_was_recorded_does_not_change_later() -> None:
     env, _ = make(SMALL)
     carried = env.reset()

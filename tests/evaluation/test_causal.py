@@ -140,6 +140,7 @@ def test_interventions_work_with_schemes(name, comm):
     assert played(cfg, intervened(policy, INTERVENTIONS[name]), count=3) == result
 
 
+@pytest.mark.slow
 def test_shut_is_no_contact_and_open_is_full_contact():
     behaviour = ("T_90", "coverage", "return", "redundancy", "bumps")
     returns = set()

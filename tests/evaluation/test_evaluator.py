@@ -57,6 +57,7 @@ def run(cfg, policy=None, count=6, **settings):
     return evaluate(cfg, lambda env: policy, house_set="test", count=count, **settings)
 
 
+@pytest.mark.slow
 def test_house_i_is_test_seed_i_and_starts_do_not_depend_on_policy_or_run_seed(cfg):
     first = run(cfg)
     other = cfg.copy()
@@ -141,6 +142,7 @@ def test_certify_continues_the_episode_and_changes_nothing_else(cfg):
             assert record["T_certify"] >= record["bound_certify"]
 
 
+@pytest.mark.slow
 def test_a_learned_policy_stands_beside_the_planners(cfg):
     entries = list(measure_beside_planners(cfg, Spread(), "mine"))
     names = [entry["policy"] for entry in entries]

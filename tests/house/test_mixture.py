@@ -37,6 +37,7 @@ def test_a_seed_gives_one_house_whatever_else_is_drawn() -> None:
         assert alone.source == together[seed].source
 
 
+@pytest.mark.slow
 def test_a_house_is_the_one_that_its_part_alone_would_draw() -> None:
     mixture = Mixture(SIDES, ["rooms", "single_room", "cluttered", "open"])
     single = {"largest_room": LARGEST_SIDE**2, "divide": 0.0}
@@ -78,6 +79,7 @@ def test_margins_are_blocked_cells_around_the_same_house() -> None:
     assert without == pytest.approx(400 * (0.2 + 0.8 / 2), abs=50)
 
 
+@pytest.mark.slow
 def test_parts_come_as_often_as_the_lists_say() -> None:
     mixture = Mixture(SIDES, ["rooms", "rooms", "open"], plans=["apartment"], plans_share=0.25)
     plans = [mixture.layout(seed) for seed in range(4000)]

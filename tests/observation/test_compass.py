@@ -178,6 +178,7 @@ def test_every_number_is_a_plain_counts(case: Case, side: int, noise: float) -> 
     assert_compass([case], side, noise)
 
 
+@pytest.mark.slow
 @given(data=st.data())
 @hypothesis_settings(max_examples=10, deadline=None)
 def test_a_larger_house_beside_it_changes_nothing(data: st.DataObject) -> None:

@@ -78,6 +78,7 @@ def test_a_pyramid_counts_cells(case: Case, side: int, scales: int, noise: float
     assert_sees([case], Pyramid(side, scales, noise), expected)
 
 
+@pytest.mark.slow
 @given(case=small_cases, range_cells=st.sampled_from([1, 2, 4, 15]))
 @hypothesis_settings(max_examples=25, deadline=None)
 def test_distances_walk_to_the_first_wall(case: Case, range_cells: int) -> None:
@@ -87,6 +88,7 @@ def test_distances_walk_to_the_first_wall(case: Case, range_cells: int) -> None:
     assert_sees([case], Distances(range_cells), expected)
 
 
+@pytest.mark.slow
 @given(case=small_cases)
 @hypothesis_settings(max_examples=25, deadline=None)
 def test_a_global_map_is_all_of_it(case: Case) -> None:

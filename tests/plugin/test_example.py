@@ -98,6 +98,7 @@ def test_without_the_package_the_run_names_it(trained: Path) -> None:
     assert "--plugin tidy_lab" in missing.stderr
 
 
+@pytest.mark.slow
 def test_where_it_is_not_installed_it_is_named(tmp_path: Path) -> None:
     """From its source, which declares no entry point."""
     listed = ["-m", "marl_clean", "list"]

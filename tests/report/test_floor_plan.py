@@ -66,6 +66,7 @@ def test_a_plan_fills_its_page_and_has_the_files_name(rows: int, cols: int) -> N
     assert f"{rows} x {cols} cells" in axes.get_title()
 
 
+@pytest.mark.slow
 def test_a_large_plan_is_an_image_and_not_a_square_for_each_cell(tmp_path: Path) -> None:
     layout = layout_of(" ".join([".#" * 200] * 200))
     svg, png = save_figure(draw_floor_plan(layout), tmp_path / "plan")

@@ -3,6 +3,7 @@
 import io
 
 import matplotlib
+import pytest
 
 from marl_clean import keys
 from marl_clean.config.compose import compose_config
@@ -62,6 +63,7 @@ def test_the_same_settings_give_the_same_figure():
     assert drawn("paper_4")[0] == drawn("paper_4")[0]
 
 
+@pytest.mark.slow
 def test_another_number_of_robots_changes_figure_4():
     pictures = {count: drawn("paper_4", f"env.n_agents={count}")[1] for count in (2, 3)}
     for count, texts in pictures.items():
@@ -74,6 +76,7 @@ def test_another_size_of_message_changes_figure_4():
     assert "message FCL\n5" in drawn("paper_4", "comm.message_dim=5")[1]
 
 
+@pytest.mark.slow
 def test_one_other_cell_changes_figures_1_and_2(tmp_path):
     plan = ["#######", "#S....#", "#..#..#", "#....S#", "#######"]
     pictures = []

@@ -153,6 +153,7 @@ def test_a_killed_run_goes_on_from_its_last_state(tmp_path, uninterrupted, step,
     assert_same_results(folder, uninterrupted)
 
 
+@pytest.mark.slow
 def test_a_signal_breaks_off_an_evaluation_which_is_done_again(tmp_path, uninterrupted):
     folder = tmp_path / "run"
     asked = 0
@@ -172,6 +173,7 @@ def test_a_signal_breaks_off_an_evaluation_which_is_done_again(tmp_path, uninter
     assert_same_results(folder, uninterrupted)
 
 
+@pytest.mark.slow
 def test_an_evaluation_that_draws_random_numbers_changes_nothing(tmp_path, uninterrupted):
     def evaluate(policy):
         torch.rand(1000)
@@ -261,6 +263,7 @@ def right_on_the_probe(folder: Path, comm: str, frames: int = 4096) -> float:
     return share_right(agent.policy(), worlds=256)
 
 
+@pytest.mark.slow
 def test_dropout_is_off_where_it_acts(tmp_path):
     agent = make_agent("plan", encoder=make_encoder(dropout=0.5))
     train(tmp_path / "run", agent=agent)

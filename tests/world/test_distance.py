@@ -2,6 +2,7 @@
 
 from collections import deque
 
+import pytest
 import torch
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
@@ -119,6 +120,7 @@ def plain_first_steps(
     return ways, length
 
 
+@pytest.mark.slow
 def test_a_map_of_rows_cut_out_of_a_larger_one() -> None:
     """Slices are read where they lie, not as if they were whole."""
     large = torch.ones((2, 6, 7), dtype=torch.bool)

@@ -635,6 +635,7 @@ def planned(played: World, assignment: Assignment, seed: int) -> Iterator[list[i
         yield [draw.randrange(4) if action is None else action for action in actions]
 
 
+@pytest.mark.slow
 @given(cases(max_agents=3, furniture_moves=False), st.sampled_from(Assignment), st.booleans())
 @settings(max_examples=25, deadline=None)
 def test_no_play_beats_a_bound(case: Case, assignment: Assignment, certify: bool) -> None:
