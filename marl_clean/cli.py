@@ -32,9 +32,11 @@ def train(arguments: argparse.Namespace) -> int:
         return 0
     from marl_clean.commands.checks import check_all
     from marl_clean.config.stored import RUNS, compose_for_training
+    from marl_clean.storage.lock import check_free
 
     config = compose_for_training(arguments.settings)
     check_all(config, training=True)
+    check_free(RUNS / config.name)
     from marl_clean.commands import train as command
 
     command.main(config, RUNS / config.name)

@@ -18,6 +18,7 @@ from marl_clean.config.levels import BUDGET, EXPERIMENT
 from marl_clean.config.overrides import parse_overrides
 from marl_clean.config.stored import RUNS
 from marl_clean.errors import BadInput
+from marl_clean.storage.lock import Held
 
 
 @dataclass(frozen=True)
@@ -154,21 +155,29 @@ def main(name: str, settings: Sequence[str], console: Console | None = None) -> 
     """Train what comparison `name` lacks, print its tables, and draw the first into runs/figures.
 
     There is a table for every set of houses on which all rows were measured. Raises BadInput
-    before anything is trained where a setting is wrong.
+    before anything is trained where a setting is wrong, and after all others have been trained
+    where another process trains a run of the comparison.
     """
     jobs = jobs_of(name, settings)
     from marl_clean.commands import train
     from marl_clean.commands.compare import tables_of
-    from marl_clean.evaluation.records import write_entries
+    from marl_clean.evaluation.records import Entry, write_entries
     from marl_clean.evaluation.table import make_table, output
     from marl_clean.report.axes import save_figure
     from marl_clean.report.comparison import draw_comparison
 
     console = console or output()
-    runs = {
-        label: [train.main(config, RUNS / config.name, console) for config in configs]
-        for label, configs in jobs.items()
-    }
+    runs: dict[str, list[list[Entry]]] = {label: [] for label in jobs}
+    held = []
+    for label, configs in jobs.items():
+        for config in configs:
+            try:
+                runs[label].append(train.main(config, RUNS / config.name, console))
+            except Held as error:
+                held.append(str(error))
+    if held:
+        more = f" ({len(held)} runs are held)" if len(held) > 1 else ""
+        raise BadInput(f"figure {name}: {held[0]}; then the same command again{more}")
     tables = tables_of(runs)
     if not tables:
         raise BadInput(

@@ -26,6 +26,7 @@ from marl_clean.evaluation.table import make_table, output
 from marl_clean.report.curve import draw_curve
 from marl_clean.report.replay import make_replay
 from marl_clean.storage import files
+from marl_clean.storage.lock import locked
 from marl_clean.trainer._outcome import Outcome
 
 
@@ -38,9 +39,14 @@ def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[
 
     Raises:
         BadInput: settings that do not fit each other; then no folder is made.
+        Held: another process works in `folder`; the message names it.
         SystemExit: 143 or 130 after a signal, when the state is saved.
     """
-    console = console or output()
+    with locked(folder):
+        return _main(cfg, folder, console or output())
+
+
+def _main(cfg: DictConfig, folder: Path, console: Console) -> list[Entry]:
     outcome = train(cfg, folder)
     if outcome.was_finished:
         console.print(f"{folder} is finished: {outcome.frames:,} frames", soft_wrap=True)
@@ -52,7 +58,8 @@ def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[
     draw(cfg, folder)
     for key in dict.fromkeys((entry["house_set"], entry["n_agents"]) for entry in entries):
         console.print(make_table([e for e in entries if (e["house_set"], e["n_agents"]) == key]))
-    console.print(f"in {folder}: {', '.join(sorted(f.name for f in folder.iterdir()))}")
+    names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+    console.print(f"in {folder}: {', '.join(names)}")
     return entries
 
 
