@@ -91,12 +91,13 @@ def test_training_reports_the_plans_it_is_measured_on_once_each(
     assert [line.partition(":")[0] for line in lines] == ["flat.yaml", "apartment"]
 
 
-def test_the_limit_in_the_line_is_that_of_the_episodes(plan: list[str]) -> None:
-    (entry,) = evaluate.main(compose_config(plan), Path("out.json"), quiet())
-    assert {house["max_steps"] for house in entry["houses"]} == {LIMIT}
-    fixed = compose_config([*plan, "env.max_steps=9"])
-    (entry,) = evaluate.main(fixed, Path("out.json"), quiet())
-    assert {house["max_steps"] for house in entry["houses"]} == {9}
+@pytest.mark.parametrize(("settings", "limit"), [([], LIMIT), (["env.max_steps=9"], 9)])
+def test_the_limit_in_the_line_is_that_of_the_episodes(
+    settings: list[str], limit: int, plan: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    (entry,) = evaluate.main(compose_config([*plan, *settings]), Path("out.json"), quiet())
+    assert {house["max_steps"] for house in entry["houses"]} == {limit}
+    assert capfd.readouterr().err.endswith(f"; 2 starts of at most {limit} steps\n")
 
 
 @pytest.mark.slow
