@@ -20,7 +20,6 @@ from tests.comm.doors import doors_for, share_right
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread", "unchecked")]
 
 FRAMES = 6_144
-IN_SILENCE = 4_096  # nearly all that talk need no more
 EVALUATIONS = 8  # in a training, which ends where one finds that it has learnt
 ENOUGH = 0.97
 WORLDS = 128  # on policy: many worlds and few updates, whose cost is in their number
@@ -54,7 +53,7 @@ def test_lambda_returns_of_the_last_block_teach_to_talk_too(tmp_path):
 
 def test_a_policy_that_draws_guesses_in_silence(tmp_path):
     agent = make_learner("ippo", "none", gamma=0.0, lr=5e-3, lr_end=5e-3)
-    train_on_policy(agent, tmp_path, hold=1, frames=IN_SILENCE)
+    train_on_policy(agent, tmp_path, hold=1)
     assert 0.4 <= share_right(agent, hold=1) <= 0.6
 
 
@@ -65,12 +64,10 @@ def test_a_policy_that_draws_hears_late_messages(tmp_path):
     assert share_right(agent, hold=2) > 0.95
 
 
-def right_after_training(
-    folder: Path, comm: str, hold: int, frames: int = FRAMES, **changes
-) -> float:
+def right_after_training(folder: Path, comm: str, hold: int, **changes) -> float:
     pace = CAREFUL if comm == "dial" else QUICK
     agent = make_agent(comm, **of_off_policy(pace), **changes)
-    train_off_policy(agent, folder, hold, pace, frames)
+    train_off_policy(agent, folder, hold, pace)
     return share_right(agent, hold)
 
 
@@ -114,14 +111,10 @@ def run(trainer: Trainer, agent: Agent, folder: Path, env: TransformedEnv, hold:
 
 
 def train_off_policy(
-    agent: Agent,
-    folder: Path,
-    hold: int,
-    pace: tuple[int, int, int, float],
-    frames: int = FRAMES,
+    agent: Agent, folder: Path, hold: int, pace: tuple[int, int, int, float]
 ) -> None:
     worlds, steps, batch_frames, _ = pace
-    frames = frames if pace is QUICK else 8_192
+    frames = FRAMES if pace is QUICK else 8_192
     trainer = OffPolicy(
         total_frames=frames,
         frames_per_batch=worlds * steps,
@@ -147,7 +140,7 @@ def test_who_talks_opens_the_right_door(tmp_path, comm):
 @pytest.mark.parametrize("comm", SILENT)
 def test_who_is_silent_guesses(tmp_path, comm):
     """Even at a door that waits, where whatever crosses within a step or a step late would help."""
-    assert 0.4 <= right_after_training(tmp_path, comm, hold=2, frames=IN_SILENCE) <= 0.6
+    assert 0.4 <= right_after_training(tmp_path, comm, hold=2) <= 0.6
 
 
 def test_a_message_that_comes_a_step_late_helps_only_if_the_door_waits(tmp_path):
@@ -156,6 +149,5 @@ def test_a_message_that_comes_a_step_late_helps_only_if_the_door_waits(tmp_path)
         folder = tmp_path / str(hold)
         folder.mkdir()
         channels = {"delayed": Delayed(**late)}
-        frames = FRAMES if right else IN_SILENCE
-        share = right_after_training(folder, "commnet", hold, frames, channels=channels)
+        share = right_after_training(folder, "commnet", hold, channels=channels)
         assert (share > 0.95) is right
