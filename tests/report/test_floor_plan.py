@@ -66,6 +66,13 @@ def test_a_plan_fills_its_page_and_has_the_files_name(rows: int, cols: int) -> N
     assert f"{rows} x {cols} cells" in axes.get_title()
 
 
+def test_a_title_longer_than_a_narrow_plan_is_wide_has_room() -> None:
+    figure = draw_floor_plan(layout_of(" ".join([".#."] * 30)))
+    figure.draw_without_rendering()
+    title = figure.axes[0].title.get_window_extent()
+    assert title.x0 >= 0 and title.x1 <= figure.bbox.x1
+
+
 @pytest.mark.slow
 def test_a_large_plan_is_an_image_and_not_a_square_for_each_cell(tmp_path: Path) -> None:
     layout = layout_of(" ".join([".#" * 200] * 200))
