@@ -14,7 +14,9 @@ from jaxtyping import Float
 from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter, ValidationError
 
 from marl_clean.errors import BadInput
-from marl_clean.evaluation.statistics import as_sample, estimate, iqm
+from marl_clean.evaluation.aggregates import iqm
+from marl_clean.evaluation.resampling import interval
+from marl_clean.evaluation.statistics import as_sample, estimate
 from marl_clean.storage import files
 
 SCHEMA = 1
@@ -79,7 +81,7 @@ def make_entry(
 
 
 def summarise(runs: Sequence[Sequence[House]]) -> dict[str, dict[str, Any]]:
-    """Mean, interquartile mean and interval of every measure, and the share of houses with a value.
+    """Mean and interquartile mean of every measure with intervals, and the share with a value.
 
     `runs` are one policy's records over the same houses, once for each training seed. A time
     that was not reached counts as the house's `max_steps` in mean, iqm and interval; `reached`
@@ -90,11 +92,12 @@ def summarise(runs: Sequence[Sequence[House]]) -> dict[str, dict[str, Any]]:
         if any(measure not in run[0] for run in runs):
             continue  # measured on demand, or newer than the file
         values = sample(runs, measure)
-        estimated = estimate(values)
+        estimated, middle = estimate(values), interval(values, iqm)
         summary[measure] = {
             "mean": estimated.mean,
-            "iqm": iqm(values),
             "ci95": None if estimated.ci95 is None else list(estimated.ci95),
+            "iqm": middle.value,
+            "iqm_ci95": None if middle.ci95 is None else list(middle.ci95),
             "reached": share_reached(runs, measure),
         }
     return summary

@@ -1,8 +1,8 @@
 """Means with bootstrap intervals, as every table and figure of this project reports them.
 
 A sample is a matrix [run, house]; one run is a matrix of one row. NaN stands for no value
-(a ratio to a bound of 0): means leave it out, resampling keeps it.
-The two-level bootstrap and the interquartile mean follow Agarwal et al. (arXiv 2108.13264).
+(a ratio to a bound of 0): means leave it out, resampling keeps it. Other statistics than the mean
+are in aggregates.py, with intervals from resampling.py.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import t as student
-from scipy.stats import trim_mean
 
 from marl_clean.errors import BadInput
 
@@ -59,12 +58,6 @@ def bootstrap_means(
             total[block] += mean
             counted[block] += exists
     return np.divide(total, counted, out=np.full(draws, np.nan), where=counted > 0)
-
-
-def iqm(values: Float[np.ndarray, "run house"]) -> float | None:
-    """The mean of the middle half of all values, runs and houses pooled."""
-    known = values[np.isfinite(values)]
-    return float(trim_mean(known, 0.25)) if known.size else None
 
 
 def paired_difference(

@@ -13,7 +13,6 @@ from marl_clean.evaluation.statistics import (
     bootstrap_means,
     estimate,
     holm,
-    iqm,
     paired_difference,
     paired_p,
 )
@@ -75,12 +74,6 @@ def test_the_same_values_give_the_same_interval():
 def test_no_value_has_no_estimate():
     nothing = as_sample([[None, None]])
     assert estimate(nothing) == statistics.Estimate(None, None)
-    assert iqm(nothing) is None
-
-
-def test_iqm_is_the_mean_of_the_middle_half():
-    assert iqm(np.array([[0.0, 1.0, 2.0, 100.0], [1.0, 2.0, 3.0, -50.0]])) == pytest.approx(1.5)
-    assert iqm(as_sample([[None, 4.0]])) == 4.0
 
 
 def test_paired_difference_forgets_what_houses_share():
