@@ -102,7 +102,7 @@ def compare(arguments: argparse.Namespace) -> int:
     """finished runs in one table, seeds pooled, compared with one of them on the same houses"""
     from marl_clean.commands import compare as command
 
-    command.main(arguments.runs, arguments.out, against=arguments.against)
+    command.main(arguments.runs, arguments.out, against=arguments.against, export=arguments.export)
     return 0
 
 
@@ -254,13 +254,12 @@ def _parser(name: str, shows_help: bool = False) -> Parser:
     if name == "train":
         parser.add_argument("-m", "--multirun", action="store_true", help="all combinations")
     if name == "compare":
-        parser.add_argument("runs", metavar="RUN", nargs="+", help="folders of finished runs")
-        parser.add_argument(
-            "--out", type=Path, help="where to write the rows as json, and OUT_paired.json beside"
-        )
+        parser.add_argument("runs", metavar="RUN", nargs="+", help="finished runs, or exports")
+        parser.add_argument("--out", type=Path, help="rows as json, OUT_paired.json, ... beside")
         parser.add_argument(
             "--against", metavar="ROW", help="label of the row that the others are compared with"
         )
+        parser.add_argument("--export", type=Path, metavar="FOLDER", help="json, csv and LaTeX")
     if name == "matrix":
         parser.add_argument("runs", metavar="RUN", nargs="+", help="folders of runs")
         parser.add_argument(

@@ -3,45 +3,34 @@
 import json
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from marl_clean.commands.labels import labels, level_of
-from marl_clean.config.config_hash import OUTSIDE_THE_HASH
-from marl_clean.config.schema import choices
-from marl_clean.config.stored import RUNS, find_run, load_config
+from marl_clean.commands.gathering import (
+    World,
+    common_prefix,
+    gather,
+    measured_of,
+    planners_of,
+    reference_of,
+    rows_of,
+)
+from marl_clean.config.stored import RUNS
 from marl_clean.errors import BadInput
+from marl_clean.evaluation import marl_eval, tidy
+from marl_clean.evaluation.latex import to_latex
+from marl_clean.evaluation.measured import Measured
 from marl_clean.evaluation.paired import Row, differences, make_paired_table, unpaired_seeds
-from marl_clean.evaluation.records import MEASURED, Entry, read_entries, summarise, write_entries
+from marl_clean.evaluation.records import Entry, summarise, write_entries
+from marl_clean.evaluation.row_statistics import make_statistics_table, row_statistics
 from marl_clean.evaluation.table import YARDSTICK, make_table, output
 from marl_clean.storage import files
-from marl_clean.storage.manifest import count_weights
 
-IGNORED_KEYS = (*OUTSIDE_THE_HASH, "seed")  # runs of one setting may differ in these
-SPEED_KEYS = ("num_envs", "compile")  # of the env: they change its speed, not its rules
+METRICS, VALIDATION, LATEX = "metrics.csv", "validation/", "tables.tex"
 log = logging.getLogger(__name__)
-
-Config = Mapping[str, Any]
-
-
-@dataclass
-class Setting:
-    """Runs of one config in one world, by their seed."""
-
-    config: Config
-    runs: dict[int, Entry] = field(default_factory=dict)
-    parameters: int | None = None
-
-
-@dataclass
-class World:
-    """What was measured in one world on the same houses: settings of learners, and planners."""
-
-    settings: dict[str, Setting] = field(default_factory=dict)
-    planners: dict[str, Entry] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -54,6 +43,8 @@ class WorldComparison:
         entries: of all policies, the planners last.
         reference: the row that others are compared with; None where there is only one row.
         differences: of each row to it, measure by measure.
+        statistics: of each row and planner, as `evaluation.row_statistics` describes.
+        measured: every run and planner, as an export writes it.
     """
 
     pools: dict[str, Entry]
@@ -61,6 +52,8 @@ class WorldComparison:
     entries: list[Entry]
     reference: Row | None
     differences: list[dict[str, Any]]
+    statistics: list[dict[str, Any]]
+    measured: list[Measured]
 
 
 def main(
@@ -69,31 +62,69 @@ def main(
     console: Console | None = None,
     against: str | None = None,
     figure: bool = True,
+    export: Path | None = None,
 ) -> list[Entry]:
-    """Print two tables for every set of houses and return their entries, those of all seeds pooled.
+    """Print tables for every set of houses and return their entries, those of all seeds pooled.
 
-    The first has means, the second each setting's paired difference to one of them: `against`,
-    or the first without communication (`comm=none`), or the first. Intervals over several seeds
-    resample runs and then houses. A folder without a finished run is logged in one line and left
-    out. `out`: where the entries are written as json; the differences are written beside it, as
-    `<out>_paired.json`. `figure`: draw runs/figures/compare*.png and .svg.
+    The first has means, the second interquartile means, the third each setting's paired difference
+    to one of them: `against`, or the first without communication (`comm=none`), or the first.
+    A folder without a finished run is logged in one line and left out. `out`: where the entries are
+    written as json; the rest is written beside it, as `<out>_paired.json` and
+    `<out>_statistics.json`. `figure`: draw runs/figures/compare*.png and .svg. `export`: a folder
+    for tables.tex, marl_eval.json and tidy.csv; `runs` may name the last two in place of folders.
     Raises BadInput when no run is left, or no row is labelled `against`.
     """
     console = console or output()
     worlds = compared(runs, against)
     for number, world in enumerate(worlds, start=1):
         console.print(make_table(world.entries))
+        console.print(make_statistics_table(world.statistics))
         if world.reference is not None and world.differences:
             console.print(make_paired_table(world.differences, world.reference))
         if figure and world.pools and "T_100" in world.entries[0]["summary"]:
-            draw(world.pools, world.planner, world.differences, number, console)
+            draw(world, number, console)
     written = [entry for world in worlds for entry in world.entries]
     if out is not None:
         write_entries(out, written)
-        paired = [difference for world in worlds for difference in world.differences]
-        beside = out.with_name(f"{out.stem}_paired.json")
-        files.write_file(beside, [(json.dumps(paired, indent=1) + "\n").encode()])
+        beside = {
+            "paired": [difference for world in worlds for difference in world.differences],
+            "statistics": [row for world in worlds for row in world.statistics],
+        }
+        for kind, rows in beside.items():
+            text = json.dumps(rows, indent=1) + "\n"
+            files.write_file(out.with_name(f"{out.stem}_{kind}.json"), [text.encode()])
+    if export is not None:
+        for path in write_exports(export, worlds):
+            console.print(f"written to {path}", soft_wrap=True)
     return written
+
+
+def write_exports(folder: Path, worlds: Sequence[WorldComparison]) -> list[Path]:
+    """Write the three exports. Raises BadInput where they cannot be written."""
+    from marl_clean.report.curve import read_metrics
+
+    measured = [item for world in worlds for item in world.measured]
+    curves: dict[Path, dict[str, Any]] = {}
+    for run in {item.folder for item in measured if item.folder is not None}:
+        if (run / METRICS).exists():
+            columns = read_metrics(run / METRICS)
+            curves[run] = {
+                name.removeprefix(VALIDATION): points
+                for name, points in columns.items()
+                if name.startswith(VALIDATION)
+            }
+    texts = {
+        marl_eval.NAME: marl_eval.to_marl_eval(measured, curves),
+        tidy.NAME: tidy.to_tidy(measured),
+        LATEX: to_latex([world.statistics for world in worlds]),
+    }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            files.write_file(folder / name, [text.encode()])
+    except OSError as error:
+        raise BadInput(f"--export {folder}: cannot be written: {error.strerror}") from error
+    return [folder / name for name in texts]
 
 
 def compared(runs: Sequence[str], against: str | None = None) -> list[WorldComparison]:
@@ -103,118 +134,65 @@ def compared(runs: Sequence[str], against: str | None = None) -> list[WorldCompa
     """
     worlds = gather(runs)
     if not worlds:
-        raise BadInput(f"compare: no finished run among {', '.join(runs)}; give folders of {RUNS}/")
-    return [_compared(world, against) for world in worlds]
+        given = ", ".join(runs)
+        raise BadInput(
+            f"compare: no finished run among {given}; give folders of {RUNS}/, or exports"
+        )
+    return [_compared(key, world, against) for key, world in worlds.items()]
 
 
-def _compared(world: World, against: str | None) -> WorldComparison:
+def _compared(key: str, world: World, against: str | None) -> WorldComparison:
     rows = rows_of(world)
     pools = {row.label: pooled(list(row.runs.values()), row.label) for row in rows}
     entries = [*pools.values(), *world.planners.values()]
     entries.sort(key=lambda entry: entry["epsilon"] == 0)  # the planners last
     planner = world.planners.get(YARDSTICK)
+    every = [*rows, *planners_of(world)]
+    measured = measured_of(key, world, rows)
     if len(rows) < 2 and against is None:
-        return WorldComparison(pools, planner, entries, None, [])
+        statistics = row_statistics(every, None)
+        return WorldComparison(pools, planner, entries, None, [], statistics, measured)
     reference = reference_of(world, rows, against)
     if unpaired := unpaired_seeds(rows, reference):
         listed = "; ".join(unpaired)
         log.warning("seeds that %s cannot be paired with: %s", reference.label, listed)
-    return WorldComparison(pools, planner, entries, reference, differences(rows, reference))
+    statistics = row_statistics(every, reference)
+    compared = differences(rows, reference)
+    return WorldComparison(pools, planner, entries, reference, compared, statistics, measured)
 
 
-def gather(runs: Sequence[str]) -> list[World]:
-    """What the finished runs among `runs` measured, world by world; other folders are logged."""
-    worlds: dict[str, World] = {}
-    seen: set[Path] = set()
-    for run in runs:
-        try:
-            folder = find_run(run)
-            config = load_config(folder)
-            entries = read_entries(folder / MEASURED)
-        except BadInput as error:
-            log.warning("left out: %s", error)
-            continue
-        if config["name"] not in {entry["policy"] for entry in entries}:
-            log.warning("left out: %s: has no entry of its own run", folder / MEASURED)
-            continue
-        if folder.resolve() in seen:
-            continue
-        seen.add(folder.resolve())
-        for entry in entries:
-            world = worlds.setdefault(world_key(entry, config["env"]), World())
-            if entry["policy"] != config["name"]:  # a planner acts alike in one world
-                world.planners[entry["policy"]] = entry
-                continue
-            setting = world.settings.setdefault(_setting_key(config), Setting(config))
-            setting.runs[config["seed"]] = entry
-            setting.parameters = count_weights(folder)
-    return list(worlds.values())
-
-
-def rows_of(world: World) -> list[Row]:
-    """One row per setting, labelled by what sets it apart from the others."""
-    settings = list(world.settings.values())
-    if len(settings) == 1:
-        names = [_common_prefix([entry["policy"] for entry in settings[0].runs.values()])]
-    else:
-        names = labels([setting.config for setting in settings], IGNORED_KEYS)
-    return [
-        Row(name, dict(setting.runs), setting.parameters)
-        for name, setting in zip(names, settings, strict=True)
-    ]
-
-
-def reference_of(world: World, rows: Sequence[Row], against: str | None) -> Row:
-    """The row that the others are compared with: `against`, else one without communication.
-
-    Without either it is the first.
-
-    Raises BadInput where no row is labelled `against`.
-    """
-    planners = [Row(name, {None: entry}) for name, entry in world.planners.items()]
-    if against is not None:
-        by_label = {row.label: row for row in (*rows, *planners)}
-        if against not in by_label:
-            raise BadInput(f"--against {against}: no such row; {choices(against, by_label)}")
-        return by_label[against]
-    silent = [
-        row
-        for row, setting in zip(rows, world.settings.values(), strict=True)
-        if level_of(setting.config["comm"]) == "none"
-    ]
-    return silent[0] if silent else rows[0]
-
-
-def draw(
-    pools: Mapping[str, Entry],
-    planner: Entry | None,
-    differences: Sequence[Mapping[str, Any]],
-    number: int,
-    console: Console,
-) -> None:
-    """Draw one world's figure."""
+def draw(world: WorldComparison, number: int, console: Console) -> None:
+    """Draw one world's figures: means and differences, profiles, probabilities of improvement."""
     from marl_clean.report.axes import save_figure
     from marl_clean.report.comparison import draw_comparison
+    from marl_clean.report.profiles import draw_improvement, draw_profiles
 
-    first = next(iter(pools.values()))
+    first = next(iter(world.pools.values()))
     title = f"{first['house_set']}, {first['n_agents']} robots; 95 % intervals"
-    rows = {name: (entry, planner) for name, entry in pools.items()}
-    figure = draw_comparison(title, rows, differences)
-    name = "compare" if number == 1 else f"compare_{number}"
-    for path in save_figure(figure, RUNS / "figures" / name):
-        console.print(f"written to {path}", soft_wrap=True)
+    rows = {name: (entry, world.planner) for name, entry in world.pools.items()}
+    figures = {
+        "compare": draw_comparison(title, rows, world.differences),
+        "compare_profiles": draw_profiles(title, world.statistics),
+    }
+    if world.reference is not None:
+        figures["compare_improvement"] = draw_improvement(title, world.statistics)
+    for name, figure in figures.items():
+        stem = name if number == 1 else f"{name}_{number}"
+        for path in save_figure(figure, RUNS / "figures" / stem):
+            console.print(f"written to {path}", soft_wrap=True)
 
 
 def pooled(entries: Sequence[Entry], label: str | None = None) -> Entry:
     """One policy's entries, a run each on the same houses, as one; its name has their number."""
     first = entries[0]
-    name = label or _common_prefix([entry["policy"] for entry in entries])
+    name = label or common_prefix([entry["policy"] for entry in entries])
     if len(entries) == 1:
         return {**first, "policy": label or first["policy"]}
     houses = [entry["houses"] for entry in entries]
     return {
         **first,
         "policy": f"{name} ({len(entries)} seeds)",
+        "runs": len(entries),
         "houses": [house for run in houses for house in run],
         "summary": summarise(houses),
     }
@@ -247,25 +225,3 @@ def houses_of(entry: Entry) -> str:
         [house.get(key) for key in ("seed", "path", "rows", "cols")] for house in entry["houses"]
     ]
     return json.dumps([entry["house_set"], entry["n_agents"], houses])
-
-
-def world_key(entry: Entry, env: Mapping[str, Any]) -> str:
-    """A text that comparable entries share: the world's rules, and the same houses and starts."""
-    ignored = (*SPEED_KEYS, "n_agents")  # an entry may be of another team size than training
-    rules = {key: value for key, value in env.items() if key not in ignored}
-    names = ("seed", "path", "rows", "cols", "free_cells", "bound_100", "max_steps")
-    houses = [[house.get(name) for name in names] for house in entry["houses"]]
-    return json.dumps([rules, entry["house_set"], entry["n_agents"], houses], sort_keys=True)
-
-
-def _setting_key(config: Config) -> str:
-    """A text that runs share which differ in their seeds alone: the rest of their config."""
-    setting = {key: value for key, value in config.items() if key not in IGNORED_KEYS}
-    return json.dumps(setting, sort_keys=True)
-
-
-def _common_prefix(names: Sequence[str]) -> str:
-    """The common prefix of names, without the separators at its end."""
-    shortest, longest = min(names), max(names)
-    length = next((i for i, c in enumerate(shortest) if c != longest[i : i + 1]), len(shortest))
-    return shortest[:length].removesuffix("s").rstrip("-_") or shortest

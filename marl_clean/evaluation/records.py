@@ -118,6 +118,13 @@ def sample(runs: Sequence[Sequence[House]], measure: str) -> Float[np.ndarray, "
     return as_sample([[counted(house, measure) for house in run] for run in runs])
 
 
+def runs_of(entry: Entry) -> list[list[House]]:
+    """The records of each run of an entry, which has several where seeds are pooled (`runs`)."""
+    houses, runs = entry["houses"], entry.get("runs", 1)
+    size = len(houses) // runs
+    return [houses[run * size : (run + 1) * size] for run in range(runs)]
+
+
 def share_reached(runs: Sequence[Sequence[House]], measure: str) -> float:
     """The share of houses in which a measure is not null."""
     return float(np.mean([house[measure] is not None for run in runs for house in run]))
@@ -161,6 +168,8 @@ def read_entries(path: Path) -> list[Entry]:
     for number, entry in enumerate(entries):
         if entry.get("schema") != SCHEMA:
             raise BadInput(f"{path}: schema {entry.get('schema')}, only {SCHEMA} is valid")
+        if entry.get("world") not in (WORLD, None):  # an external task has no version
+            raise BadInput(f"{path}: world version {entry['world']}, only {WORLD} is valid")
         if (fault := _fault(entry)) is not None:
             raise BadInput(f"{path}: entry {number}: {fault}; an evaluation.json is valid")
     return entries
@@ -173,8 +182,22 @@ def _fault(entry: Entry) -> str | None:
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-    houses = entry["houses"]
-    shown = SHOWN if "T_100" in houses[0] else SHOWN_EXTERNAL
+    if (fault := house_fault(entry["houses"])) is not None:
+        return fault
+    shown = SHOWN if "T_100" in entry["houses"][0] else SHOWN_EXTERNAL
+    for name in shown:
+        if name not in entry["summary"] or None in (
+            entry["summary"][name]["mean"],
+            entry["summary"][name]["ci95"],
+        ):
+            return f"summary.{name}: is missing"
+    return None
+
+
+def house_fault(houses: Sequence[House]) -> str | None:
+    """The reason why records cannot be summarised and pooled with others; None if they can."""
+    cells = {"T_100", "max_steps"} & set(houses[0])  # external tasks have neither
+    shown = SHOWN if cells else SHOWN_EXTERNAL
     measured = {name for name in MEASURES if name in houses[0]} | {*shown}
     needed = measured | {least for name in measured for least in _fallback_keys(name)}
     for house in houses:
@@ -184,12 +207,6 @@ def _fault(entry: Entry) -> str | None:
             return f"a house has no number {texts[0]}"
         if house.get("max_steps", 0) is None:
             return "a house has no number max_steps"
-    for name in shown:
-        if name not in entry["summary"] or None in (
-            entry["summary"][name]["mean"],
-            entry["summary"][name]["ci95"],
-        ):
-            return f"summary.{name}: is missing"
     return None
 
 

@@ -12,7 +12,7 @@ from marl_clean.evaluation.records import Entry, sample
 
 YARDSTICK = "nearest_unknown"
 NONE = "-"
-WIDTH = 140  # characters that the table needs
+WIDTH = 180  # characters that the widest table needs
 CAPTION = (
     "Means over houses (of a plan: over starts), with 95 % intervals. A house not finished counts\n"
     "as its max_steps. Learned policies take a share of evaluation.epsilon random actions.\n"

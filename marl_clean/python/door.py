@@ -92,7 +92,8 @@ def compare(*runs: RunLike, against: str | None = None) -> Table:
 
     As `marl-clean compare` does, without its files. `differences` holds each setting's paired
     difference to the row labelled `against`, or to the first without communication, on the same
-    houses.
+    houses; `statistics` each row's interquartile means, optimality gaps, profiles and probability
+    of improvement.
 
         >>> import marl_clean
         >>> table = marl_clean.compare("mine", against="nearest_unknown")
@@ -109,6 +110,7 @@ def compare(*runs: RunLike, against: str | None = None) -> Table:
     return Table(
         [entry for world in worlds for entry in world.entries],
         [difference for world in worlds for difference in world.differences],
+        [row for world in worlds for row in world.statistics],
     )
 
 

@@ -34,11 +34,20 @@ class Table(Sequence[Row]):
         entries: the same as evaluation.json has it, house by house.
         differences: of a comparison, each setting's paired difference to the reference; empty
             otherwise.
+        statistics: of a comparison, each row's interquartile means, optimality gaps, profiles and
+            probability of improvement over the reference, with 95 % intervals; as
+            `<out>_statistics.json` of the command has them.
     """
 
-    def __init__(self, entries: Sequence[Entry], differences: Sequence[Row] = ()) -> None:
+    def __init__(
+        self,
+        entries: Sequence[Entry],
+        differences: Sequence[Row] = (),
+        statistics: Sequence[Row] = (),
+    ) -> None:
         self.entries = list(entries)
         self.differences = list(differences)
+        self.statistics = list(statistics)
         self.rows = [row_of(entry) for entry in self.entries]
 
     @property

@@ -62,6 +62,11 @@ def unit(colour: Colour) -> tuple[float, float, float]:
     return red / 255, green / 255, blue / 255
 
 
+def seeds_label(name: str, seeds: int) -> str:
+    """A row's name with its number of seeds; a planner has none."""
+    return name if seeds == 0 else f"{name} ({seeds} seed{'s' if seeds > 1 else ''})"
+
+
 def save_figure(figure: Figure, stem: Path) -> list[Path]:
     """Write `stem`.svg and `stem`.png; the same figure gives the same bytes."""
     stem.parent.mkdir(parents=True, exist_ok=True)

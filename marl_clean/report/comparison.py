@@ -4,16 +4,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from marl_clean.env.viewer import INK, ROBOTS
 from marl_clean.evaluation.paired import LEVEL
-from marl_clean.evaluation.records import Entry
+from marl_clean.evaluation.records import Entry, runs_of, sample, share_reached
 from marl_clean.evaluation.table import YARDSTICK
-from marl_clean.report.axes import STYLE, new_figure, unit
+from marl_clean.report.axes import STYLE, new_figure, seeds_label, unit
 
 TIMES = ("T_90", "T_100")
+BELOW = 0.22  # of the distance between rows: where the dots of seeds stand
 
 Pair = tuple[Entry, Entry | None]  # the learned policy, and the planner in the same world
 
@@ -23,9 +25,10 @@ def draw_comparison(
 ) -> Figure:
     """One row per policy: houses finished, T_90, T_100; hollow: nearest_unknown in the same world.
 
-    Bars are 95 % intervals of the mean; a house not finished counts as its max_steps. With paired
-    `differences` to one of the rows (`evaluation.paired`) all rows are of one world: times are
-    then multiples of nearest_unknown's, where it was measured, and panels of differences follow.
+    Bars are 95 % intervals of the mean, small dots the means of single seeds; a house not finished
+    counts as its max_steps. With paired `differences` to one of the rows (`evaluation.paired`) all
+    rows are of one world: times are then multiples of nearest_unknown's, where it was measured, and
+    panels of differences follow.
     """
     planners = [planner for _, planner in rows.values()]
     relative = bool(differences) and None not in planners
@@ -43,7 +46,8 @@ def draw_comparison(
             _draw_measure(axes, rows, measure, relative)
         for axes, measure in zip(panels[1 + len(TIMES) :], TIMES, strict=False):
             _draw_differences(axes, list(rows), differences, measure)
-        panels[0].set_yticks(range(len(rows)), list(rows))
+        names = [seeds_label(name, entry.get("runs", 1)) for name, (entry, _) in rows.items()]
+        panels[0].set_yticks(range(len(rows)), names)
         panels[0].set_ylim(len(rows) - 0.5, -0.5)
         named = {
             label: handle
@@ -63,6 +67,8 @@ def _draw_finished(axes: Axes, rows: Mapping[str, Pair]) -> None:
             if entry is not None:
                 share = 100 * entry["summary"]["T_100"]["reached"]
                 axes.plot(share, place, "o", color=unit(colour), fillstyle=style)
+        shares = [100 * share_reached([run], "T_100") for run in runs_of(pair[0])]
+        _draw_seeds(axes, shares, place)
     axes.set_xlim(-3, 103)
     _label(axes, "houses finished, %")
 
@@ -82,6 +88,8 @@ def _draw_measure(
             learned["mean"] / unit_steps, place, "o", color=unit(ROBOTS[0]),
             label="learned" if first else None,
         )  # fmt: skip
+        means = [float(np.nanmean(sample([run], measure))) for run in runs_of(pair[0])]
+        _draw_seeds(axes, [mean / unit_steps for mean in means], place)
         if planner is not None:
             axes.plot(
                 planner["mean"] / unit_steps, place, "o", color=unit(INK), fillstyle="none",
@@ -89,6 +97,15 @@ def _draw_measure(
             )  # fmt: skip
     axes.set_xlim(left=0)
     _label(axes, f"{measure} / {YARDSTICK}'s" if relative else f"{measure}, steps")
+
+
+def _draw_seeds(axes: Axes, values: Sequence[float], place: int) -> None:
+    """A dot for each seed, below the row's interval."""
+    label = "a seed" if place == 0 else None
+    axes.plot(
+        values, [place + BELOW] * len(values), ".", color=unit(ROBOTS[0]), markersize=4, alpha=0.6,
+        label=label,
+    )  # fmt: skip
 
 
 def _draw_differences(

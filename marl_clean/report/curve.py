@@ -51,13 +51,18 @@ def read_metrics(metrics: Path) -> dict[str, Series]:
             rows = list(csv.DictReader(file))
     except OSError as error:
         raise BadInput(f"{metrics}: cannot be read: {error.strerror}") from error
+    except (ValueError, csv.Error) as error:
+        raise BadInput(f"{metrics}: is no csv of numbers; a run's metrics.csv is valid") from error
     if not rows or FRAMES not in rows[0]:
         raise BadInput(f"{metrics}: needs a column {FRAMES} and at least one row of numbers")
-    columns = {
-        name: [(float(row[FRAMES]), float(row[name])) for row in rows if row[name]]
-        for name in rows[0]
-        if name != FRAMES
-    }
+    try:
+        columns = {
+            name: [(float(row[FRAMES]), float(row[name])) for row in rows if row[name]]
+            for name in rows[0]
+            if name != FRAMES
+        }
+    except (TypeError, ValueError) as error:
+        raise BadInput(f"{metrics}: {error}; a run's metrics.csv is valid") from error
     return {name: points for name, points in columns.items() if points}
 
 

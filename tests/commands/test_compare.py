@@ -1,5 +1,6 @@
 """Runs of several seeds are one row, and what is no run is left out in one line."""
 
+import io
 import json
 import shutil
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 from omegaconf import OmegaConf
 from rich.console import Console
 
+import marl_clean
 from marl_clean.commands import compare
 from marl_clean.config.compose import compose_config
 from marl_clean.errors import BadInput
@@ -311,20 +313,52 @@ def test_a_silent_row_is_the_reference_wherever_it_stands(tmp_path) -> None:
     assert {difference["reference"] for difference in paired} == {"reward=team comm=none"}
 
 
-def test_the_figure_is_drawn_in_multiples_of_the_planner(tmp_path, monkeypatch) -> None:
+def test_the_figures_are_drawn_with_every_seed(tmp_path) -> None:
     runs = [
-        write_run(tmp_path / "plan", [], [40, 60]),
+        write_run(tmp_path / "plan-s0", ["seed=0"], [40, 60]),
+        write_run(tmp_path / "plan-s1", ["seed=1"], [44, None]),
         write_run(tmp_path / "none", ["comm=none"], [50, 50]),
     ]
-    monkeypatch.chdir(tmp_path)
     compare.main(runs, None, QUIET)
     figures = tmp_path / "runs/figures"
-    assert {path.name for path in figures.iterdir()} == {"compare.png", "compare.svg"}
-    text = (figures / "compare.svg").read_text()
-    for title in (
-        "T_90 / nearest_unknown's",
-        "T_100 minus reference's",
-        "comm=plan",
-        "may be chance",
-    ):
-        assert title in text
+    stems = ("compare", "compare_profiles", "compare_improvement")
+    assert {path.name for path in figures.iterdir()} == {
+        f"{stem}.{kind}" for stem in stems for kind in ("svg", "png")
+    }
+    for stem, texts in {
+        "compare": (
+            "T_90 / nearest_unknown's",
+            "T_100 minus reference's",
+            "may be chance",
+            "a seed",
+        ),
+        "compare_profiles": ("share of houses finished", "nearest_unknown"),
+        "compare_improvement": ("reference: comm=none",),
+    }.items():
+        drawn = (figures / f"{stem}.svg").read_text()
+        for text in (*texts, "comm=plan (2 seeds)"):
+            assert text in drawn
+
+
+def test_every_row_has_its_statistics_and_its_seeds(tmp_path) -> None:
+    runs = [
+        write_run(tmp_path / "plan-s0", ["seed=0"], [40, 60]),
+        write_run(tmp_path / "plan-s1", ["seed=1"], [50, None]),
+        write_run(tmp_path / "none", ["comm=none"], [50, 70]),
+    ]
+    console = Console(record=True, width=180, file=io.StringIO())
+    compare.main(runs, tmp_path / "out.json", console, figure=False)
+    plan, none, planner = json.loads((tmp_path / "out_statistics.json").read_text())
+    assert plan["seeds"] == [0, 1] and plan["by_seed"]["T_100"] == [50, 150]
+    assert planner["seeds"] == [] and "improvement" not in none
+    # House by house: 40 and 50 against 50; 60 and never against 70.
+    assert plan["improvement"]["T_100"]["value"] == (1.5 / 2 + 1 / 2) / 2
+    gap = plan["aggregates"]["score"]["optimality_gap"]
+    assert gap["value"] == pytest.approx(1 - np.mean([10 / 40, 10 / 60, 10 / 50, 0]))
+    assert plan["finished_by"]["share"][-1] == 0.75
+    low, high = plan["aggregates"]["T_100"]["iqm"]["ci95"]
+    assert low <= plan["aggregates"]["T_100"]["iqm"]["value"] == 55 <= high
+    [line] = [line for line in console.export_text().splitlines() if "0.62 [" in line]
+    assert line.split()[:2] == ["comm=plan", "2"] and "55.0 [" in line
+    table = marl_clean.compare(*runs)
+    assert table.statistics == [plan, none, planner]

@@ -1,0 +1,140 @@
+"""`tidy.csv`: a comparison in long format, one line for each policy, seed, house and measure.
+
+| column | is |
+|---|---|
+| `world` | a hash of rules, houses and starts; lines that share it are comparable |
+| `setting` | a hash of the config without its seed; empty for a planner |
+| `row` | the label of the setting in the comparison, or the planner's name |
+| `silent` | 1 for a setting without communication |
+| `parameters` | of the network; may be empty |
+| `policy`, `seed` | the run's name and seed; no seed for a planner |
+| `house_set`, `n_agents`, `epsilon`, `config_hash`, `schema`, `rules` | as in evaluation.json, where `rules` is `world`, the version of the rules |
+| `house`, `houses` | the place of the house in its set, from 0, and the size of the set |
+| `measure`, `value` | a measure or a property of the house (`seed`, `rows`, `max_steps`, ...); an empty value is null, as for a time not reached |
+"""  # noqa: E501
+
+import csv
+import io
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from marl_clean.errors import BadInput
+from marl_clean.evaluation.measured import (
+    Measured,
+    entry_of,
+    read_text,
+    refuse_repeated,
+    versions_fit,
+)
+
+NAME = "tidy.csv"
+ABOUT = ("world", "setting", "row", "silent", "parameters", "policy", "seed")
+ENTRY = ("house_set", "n_agents", "epsilon", "config_hash", "schema", "rules")
+COLUMNS = (*ABOUT, *ENTRY, "house", "houses", "measure", "value")
+TEXTS = ("path",)  # properties of a house that are no number
+
+
+def to_tidy(measured: Sequence[Measured]) -> str:
+    """The text of tidy.csv."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for item in measured:
+        entry = item.entry
+        about = [item.world, item.setting, item.label, int(item.silent), item.parameters]
+        about += [entry["policy"], item.seed, entry["house_set"], entry["n_agents"]]
+        about += [repr(entry["epsilon"]), entry["config_hash"], entry["schema"], entry["world"]]
+        size = len(entry["houses"])
+        for place, house in enumerate(entry["houses"]):
+            for name, value in house.items():
+                shown = value if isinstance(value, str | None) else repr(value)
+                writer.writerow([*about, place, size, name, shown])
+    return text.getvalue()
+
+
+def read_tidy(path: Path) -> list[Measured]:
+    """What a tidy.csv holds; entries of another version are logged and left out.
+
+    Raises BadInput where the file is none, or only the beginning of one.
+    """
+    lines = csv.reader(io.StringIO(read_text(path), newline=""), strict=True)
+    try:
+        if tuple(next(lines)) != COLUMNS:
+            raise BadInput(f"{path}: has other columns than {NAME} of `compare --export`")
+        groups = _groups(path, lines)
+    except csv.Error as error:
+        raise BadInput(
+            f"{path}: line {lines.line_num}: {error}; half-written, or no csv"
+        ) from error
+    result = []
+    for about, houses in groups.items():
+        fields = dict(zip((*ABOUT, *ENTRY, "houses"), about, strict=True))
+        if versions_fit(path, fields["policy"], *map(_number, (fields["schema"], fields["rules"]))):
+            result.append(_measured(path, fields, houses))
+    refuse_repeated(path, result)
+    return result
+
+
+def _groups(path: Path, lines: Any) -> dict[tuple[str, ...], dict[str, dict[str, Any]]]:
+    """The values of each entry, by house and measure; entries by what is said about them."""
+    groups: dict[tuple[str, ...], dict[str, dict[str, Any]]] = {}
+    for line in lines:
+        if len(line) != len(COLUMNS):
+            raise BadInput(f"{path}: line {lines.line_num}: not {len(COLUMNS)} cells; half-written")
+        *about, house, size, measure, value = line
+        values = groups.setdefault((*about, size), {}).setdefault(house, {})
+        if measure in values:
+            raise BadInput(f"{path}: line {lines.line_num}: {measure} of this house stands twice")
+        try:
+            values[measure] = value if measure in TEXTS and value else _number(value)
+        except ValueError:
+            reason = f"{path}: line {lines.line_num}: {measure}: {value[:40]!r} is no number"
+            raise BadInput(reason) from None
+    return groups
+
+
+def _measured(path: Path, fields: dict[str, str], houses: dict[str, dict[str, Any]]) -> Measured:
+    if list(houses) != [str(place) for place in range(len(houses))] or fields["houses"] != str(
+        len(houses)
+    ):
+        raise BadInput(
+            f"{path}: {fields['policy']}: {len(houses)} of {fields['houses']} houses; half-written"
+        )
+    try:
+        entry = {
+            "schema": int(fields["schema"]),
+            "world": _number(fields["rules"]),
+            "policy": fields["policy"],
+            "house_set": fields["house_set"],
+            "config_hash": fields["config_hash"],
+            "epsilon": _number(fields["epsilon"]),
+            "n_agents": int(fields["n_agents"]),
+        }
+        seed, parameters = (
+            int(fields[name]) if fields[name] else None for name in ("seed", "parameters")
+        )
+        silent = int(fields["silent"])
+    except ValueError as error:
+        raise BadInput(f"{path}: {fields['policy']}: {error}; not of an export") from error
+    return Measured(
+        fields["world"],
+        fields["setting"] or None,
+        seed,
+        entry_of(path, entry, list(houses.values())),
+        fields["row"],
+        bool(silent),
+        parameters,
+    )
+
+
+def _number(text: str) -> int | float | None:
+    """A number as Python writes it; None for an empty text. Raises ValueError for any other."""
+    if not text:
+        return None
+    value = json.loads(text)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{text[:40]!r} is no number")
+    return value

@@ -1,0 +1,191 @@
+"""Exports of a comparison: read back they give the same tables, and damaged ones are refused."""
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from marl_clean.commands import compare
+from marl_clean.errors import BadInput
+from tests.commands.test_compare import QUIET, write_run
+from tests.families import family
+
+pytestmark = pytest.mark.usefixtures("unchecked")
+READABLE = ("marl_eval.json", "tidy.csv")
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Runs of two settings and two worlds, with validation measures over training."""
+    place = tmp_path_factory.mktemp("runs")
+    written = [
+        write_run(place / "plan-s0", ["seed=0"], [40, 60]),
+        write_run(place / "plan-s1", ["seed=1"], [80, None]),
+        write_run(place / "none-s0", ["comm=none", "seed=0"], [50, 50]),
+        write_run(place / "none-s1", ["comm=none", "seed=1"], [55, 45]),
+        write_run(place / "alone", ["env.memory=private"], [30, 20]),
+    ]
+    for run in written:
+        lines = ["frames,validation/T_90,validation/T_100,loss", "100,90,95,1", "200,70.5,80,"]
+        (Path(run) / "metrics.csv").write_text("\n".join(lines) + "\n")
+    return written
+
+
+@pytest.fixture(scope="module")
+def exported(runs: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("exported")
+    compare.main(runs, None, QUIET, figure=False, export=folder)
+    return folder
+
+
+def everything(runs: list[str], folder: Path) -> list[str]:
+    """All that a comparison prints and writes."""
+    folder.mkdir()
+    console = Console(record=True, width=180, file=io.StringIO())
+    compare.main(runs, folder / "out.json", console, figure=False, export=folder / "again")
+    names = ("out.json", "out_paired.json", "out_statistics.json", "again/tidy.csv")
+    texts = [(folder / name).read_text() for name in (*names, "again/tables.tex")]
+    return [console.export_text().replace(str(folder), ""), *texts]
+
+
+@pytest.mark.parametrize("name", READABLE)
+def test_an_export_gives_the_tables_of_the_folders(
+    name: str, runs: list[str], exported: Path, tmp_path: Path
+) -> None:
+    expected = everything(runs, tmp_path / "folders")
+    assert everything([str(exported / name)], tmp_path / "export") == expected
+
+
+def test_an_export_and_folders_are_compared_together(runs: list[str], tmp_path: Path) -> None:
+    compare.main(runs[:2], None, QUIET, figure=False, export=tmp_path / "half")
+    rows = compare.main([str(tmp_path / "half/tidy.csv"), *runs[2:4]], None, QUIET, figure=False)
+    assert [row["policy"] for row in rows] == [
+        "plan (2 seeds)",
+        "none (2 seeds)",
+        "nearest_unknown",
+    ]
+    # Seeds of one setting are pooled wherever they come from.
+    compare.main(runs[:1], None, QUIET, figure=False, export=tmp_path / "one")
+    rows = compare.main([str(tmp_path / "one/tidy.csv"), runs[1]], None, QUIET, figure=False)
+    assert rows[0]["policy"] == "plan-s0 (2 seeds)"
+
+
+def test_tidy_has_a_line_for_each_house_and_measure(exported: Path) -> None:
+    with (exported / "tidy.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    times = [
+        line["value"] for line in lines if (line["policy"], line["measure"]) == ("plan-s1", "T_100")
+    ]
+    assert times == ["80", ""]
+    assert {line["row"] for line in lines if line["policy"] == "none-s0"} == {"comm=none"}
+
+
+def test_marl_eval_has_steps_and_absolute_metrics(exported: Path) -> None:
+    tree = json.loads((exported / "marl_eval.json").read_text())
+    assert list(tree) == ["marl_clean", "marl_clean_planners", "marl_clean_records"]
+    [first, _] = tree["marl_clean"].values()
+    assert first["comm=plan"]["seed_1"] == {
+        "step_0": {"step_count": 100, "T_90": [90.0], "T_100": [95.0]},
+        "step_1": {"step_count": 200, "T_90": [70.5], "T_100": [80.0]},
+        "absolute_metrics": {"T_90": [80.0, 250.0], "T_100": [80.0, 250.0]},
+    }
+    for tasks in tree.values():  # numbers alone, as marl-eval asks for
+        for algorithm in (runs for task in tasks.values() for runs in task.values()):
+            for step in (step for run in algorithm.values() for step in run.values()):
+                assert all(
+                    isinstance(value, int | float)
+                    for name, values in step.items()
+                    for value in ([values] if name == "step_count" else values)
+                )
+
+
+def test_latex_is_escaped_and_has_intervals(exported: Path) -> None:
+    text = (exported / "tables.tex").read_text()
+    assert text.count(r"\begin{tabular}") == text.count(r"\bottomrule") == 2
+    assert r"nearest\_unknown & -- & 50.0 {\small [50.0, 50.0]}" in text
+    assert r"comm=plan & 2 & " in text
+
+
+def repeated(text: str) -> str:
+    """The same with one run, or its last line, a second time."""
+    if text[0] != "{":
+        return text + text.splitlines()[-1] + "\n"
+    tree = json.loads(text)
+    [first, _] = tree["marl_clean_records"].values()
+    first["comm=plan"]["seed_9"] = first["comm=plan"]["seed_0"]
+    return json.dumps(tree)
+
+
+DAMAGED = {
+    "empty": lambda text: "",
+    "blank": lambda text: "\n \n",
+    "half": lambda text: text[: len(text) // 2],
+    "half, at the end of a line": lambda text: text[: text.rindex("\n", 0, len(text) // 2) + 1],
+    "foreign": lambda text: '{"a": 1}' if text[0] == "{" else "a,b\n1,2\n",
+    "a list": lambda text: "[1]",
+    "deep": lambda text: "[" * 100_000,
+    "words for numbers": lambda text: text.replace("250", '"much"'),
+    "infinite": lambda text: text.replace("250", "1e999"),
+    "true": lambda text: text.replace("250", "true"),
+    "a measure renamed": lambda text: text.replace("T_100", "T_101", 30),
+    "a run twice": lambda text: repeated(text),
+}
+
+
+@family(("name", "damage"), [(n, d) for n in READABLE for d in DAMAGED], fast=6)
+def test_a_damaged_export_is_left_out_in_one_line(
+    name: str, damage: str, exported: Path, runs: list[str], tmp_path: Path, caplog
+) -> None:
+    path = tmp_path / name
+    path.write_text(DAMAGED[damage]((exported / name).read_text()))
+    rows = compare.main([str(path), runs[4]], None, QUIET, figure=False)
+    assert [row["policy"] for row in rows] == ["alone", "nearest_unknown"]
+    [line] = caplog.messages
+    assert str(path) in line and "\n" not in line and len(line) < 300
+
+
+@pytest.mark.parametrize("name", READABLE)
+def test_entries_of_another_version_are_named_and_the_rest_is_compared(
+    name: str, exported: Path, tmp_path: Path, caplog
+) -> None:
+    text = (exported / name).read_text()
+    if name == "tidy.csv":
+        head, *lines = text.splitlines()
+        column = head.split(",").index("rules")
+        cells = [line.split(",") for line in lines]
+        for line in cells:
+            line[column] = "7" if line[5] == "plan-s0" else line[column]
+        text = "\n".join([head, *(",".join(line) for line in cells)]) + "\n"
+    else:
+        tree = json.loads(text)
+        [first, _] = tree["marl_clean_records"].values()
+        first["comm=plan"]["seed_0"]["absolute_metrics"]["about.rules"] = [7]
+        text = json.dumps(tree)
+    (tmp_path / name).write_text(text)
+    rows = compare.main([str(tmp_path / name)], None, QUIET, figure=False)
+    assert rows[0]["policy"] == "comm=plan"  # of seed 1 alone
+    assert [m for m in caplog.messages if "world version 7, only 1 and 0 are valid" in m]
+    assert len([m for m in caplog.messages if m.startswith("left out")]) == 1
+
+
+def test_a_binary_and_another_file_are_refused(runs: list[str], tmp_path: Path, caplog) -> None:
+    (tmp_path / "tidy.csv").write_bytes(b"\xff\xfe\x00")
+    (tmp_path / "notes.txt").write_text("nothing")
+    names = [str(tmp_path / name) for name in ("tidy.csv", "notes.txt")]
+    with pytest.raises(BadInput, match="no finished run"):
+        compare.main(names, None, QUIET)
+    assert ["is not text" in caplog.messages[0], "no export" in caplog.messages[1]] == [True, True]
+
+
+def test_an_export_that_cannot_be_written_is_bad_input(runs: list[str], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadInput, match="--export"):
+        compare.main(runs[4:], None, QUIET, figure=False, export=tmp_path / "file")
