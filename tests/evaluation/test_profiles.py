@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from marl_clean.evaluation.profiles import finished_by, profile, score_grid, step_grid
@@ -41,6 +41,7 @@ def test_finished_by_counts_the_step_itself_and_never_the_unfinished() -> None:
     assert result.share == pytest.approx([0, 0, 0.25, 0.25, 0.5, 0.5])
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(st.sampled_from([0.0, 3.0, 7.0, np.inf]), min_size=1, max_size=12))
 def test_a_curve_of_times_rises_and_a_profile_of_scores_falls(times: list[float]) -> None:
     values: Any = np.array([times])
