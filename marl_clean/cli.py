@@ -1,7 +1,8 @@
 """`marl-clean COMMAND [key=value ...]`: one thin function a command.
 
 The config is composed and checked first; only then is torch imported. Exit codes: 0 done, 1
-`doctor` reports a problem, 2 bad input (one line on stderr), 130 interrupted, 143 terminated.
+`doctor` reports a problem or a sweep has jobs that are not finished, 2 bad input (one line on
+stderr), 130 interrupted, 143 terminated.
 """
 
 import argparse
@@ -28,8 +29,7 @@ def train(arguments: argparse.Namespace) -> int:
     if arguments.multirun:
         from marl_clean.commands import sweep
 
-        sweep.run(arguments.settings)
-        return 0
+        return sweep.run(arguments.settings)
     from marl_clean.commands.checks import check_all
     from marl_clean.config.stored import RUNS, compose_for_training
     from marl_clean.storage.lock import check_free
@@ -114,6 +114,20 @@ def matrix(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def runs(arguments: argparse.Namespace) -> int:
+    """list what is in runs/: state, seed, score, size, age; --clean removes what is not needed"""
+    from marl_clean.commands import runs as command
+
+    command.main(
+        arguments.patterns,
+        arguments.state or (),
+        arguments.preset or (),
+        arguments.clean,
+        arguments.yes,
+    )
+    return 0
+
+
 def benchmark(arguments: argparse.Namespace) -> int:
     """measure speed, into runs/benchmark.json"""
     from marl_clean.commands.checks import check_all, check_shows_houses, check_square_view
@@ -159,11 +173,12 @@ COMMANDS = {
     "figure": figure,
     "compare": compare,
     "matrix": matrix,
+    "runs": runs,
     "benchmark": benchmark,
     "list": list_levels,
     "doctor": doctor,
 }
-WITHOUT_SETTINGS = ("list", "doctor", "compare", "matrix")
+WITHOUT_SETTINGS = ("list", "doctor", "compare", "matrix", "runs")
 ALSO = {"compare": "; draws runs/figures/compare.svg and .png, compare_2 of a second world, ..."}
 USAGE = """\
 marl-clean COMMAND [key=value ...]
@@ -270,6 +285,10 @@ def _parser(name: str, shows_help: bool = False) -> Parser:
         )
         parser.add_argument("--houses", type=int, help="number of test houses")
         parser.add_argument("--out", type=Path, help="where to write the cells as json")
+    if name == "runs":
+        from marl_clean.commands.runs import add_arguments
+
+        add_arguments(parser)
     if name not in WITHOUT_SETTINGS:
         parser.add_argument("settings", metavar="key=value", nargs="*", help="Hydra overrides")
     return parser

@@ -20,6 +20,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import OverrideType
 from hydra.core.plugins import Plugins
+from hydra.core.utils import JobStatus
 from hydra.errors import HydraException
 from hydra.initialize import get_gh_backup, restore_gh_from_backup
 from hydra.types import HydraContext, RunMode
@@ -32,13 +33,14 @@ from marl_clean.errors import BadInput
 
 VERSION_BASE = "1.3"
 CONFIG_NAME = "config"
+LAUNCHER = "hydra/launcher"
 LAUNCHERS = {  # what to install for those that do not come with Hydra
-    "joblib": "hydra-joblib-launcher",
+    "joblib": "'marl-clean[sweep]'",
     "ray": "hydra-ray-launcher",
     "ray_aws": "hydra-ray-launcher",
     "rq": "hydra-rq-launcher",
-    "submitit_local": "hydra-submitit-launcher",
-    "submitit_slurm": "hydra-submitit-launcher",
+    "submitit_local": "'marl-clean[slurm]'",
+    "submitit_slurm": "'marl-clean[slurm]'",
 }
 
 
@@ -63,6 +65,10 @@ class Unreadable(Exception):
     """A text that is not a setting in Hydra's grammar."""
 
 
+class Unoptimised(Exception):
+    """Hydra reads functions such as `range(0,1)` only where Python runs its assertions."""
+
+
 class NotPlain(Exception):
     """A setting that adds, moves or deletes a key."""
 
@@ -72,11 +78,15 @@ class NotComposed(Exception):
 
 
 def parse(text: str) -> Override:
-    """Read a setting. Raises Unreadable or NotPlain where it is not KEY=VALUE."""
+    """Read a setting. Raises Unreadable, NotPlain or Unoptimised where it is not KEY=VALUE."""
     try:
         [parsed] = OverridesParser.create().parse_overrides([text])
     except HydraException:
         raise Unreadable(text) from None
+    except AttributeError:
+        if __debug__:
+            raise
+        raise Unoptimised(text) from None
     if not parsed.key_or_group:
         raise Unreadable(text)
     if parsed.type is not OverrideType.CHANGE or parsed.package is not None:
@@ -146,14 +156,20 @@ def check_launching(overrides: Sequence[Override]) -> None:
         _for_launching(hydra, overrides)
 
 
+def launchers() -> list[str]:
+    """The launchers that are installed."""
+    with _hydra() as hydra:
+        return list(hydra.config_loader.get_group_options(LAUNCHER))
+
+
 def launch(
     task: Callable[[DictConfig], None],
     jobs: Sequence[Sequence[str]],
     overrides: Sequence[Override],
-) -> None:
+) -> list[Exception | None]:
     """Run `task` for every job, by the launcher that `overrides` choose and set.
 
-    Raises what the first job that failed raised, after all have run.
+    Return what each job raised. Raises what the launcher itself does, as where a worker was killed.
     """
     with _hydra() as hydra:
         config = _for_launching(hydra, overrides)
@@ -162,8 +178,9 @@ def launch(
             task_function=task,
             config=config,
         )
-        for job in launcher.launch([list(job) for job in jobs], initial_job_idx=0):
-            _ = job.return_value  # raises what the job raised
+        results = launcher.launch([list(job) for job in jobs], initial_job_idx=0)
+    failed = (result.status is JobStatus.FAILED for result in results)
+    return [r._return_value if f else None for r, f in zip(results, failed, strict=True)]
 
 
 def settings_of_job() -> list[str]:
@@ -203,7 +220,7 @@ def _for_launching(hydra: Hydra, overrides: Sequence[Override]) -> DictConfig:
 def _check_level(override: Override, levels: Sequence[str]) -> None:
     if override.value in levels:
         return
-    if override.key == "hydra/launcher" and override.value in LAUNCHERS:
+    if override.key == LAUNCHER and override.value in LAUNCHERS:
         package = LAUNCHERS[override.value]
         raise BadInput(f"{override.setting}: is not installed; pip install {package}")
     raise BadInput(f"{override.setting}: no such level; {choices(override.text, levels)}")

@@ -2,7 +2,13 @@
 
 from collections.abc import Sequence
 
-from marl_clean.config.hydra_adapter import NotPlain, Override, Unreadable, parse
+from marl_clean.config.hydra_adapter import (
+    NotPlain,
+    Override,
+    Unoptimised,
+    Unreadable,
+    parse,
+)
 from marl_clean.config.levels import PRESETS, SEVERAL, groups
 from marl_clean.config.schema import choices
 from marl_clean.errors import BadInput
@@ -24,6 +30,11 @@ def parse_overrides(overrides: Sequence[str], allow_hydra: bool = False) -> list
             override = parse(text.removeprefix("+") if preset else text)
         except Unreadable:
             raise BadInput(_unreadable(text)) from None
+        except Unoptimised:
+            raise BadInput(
+                f"{text!r}: Hydra cannot read functions where PYTHONOPTIMIZE or -O is set; unset "
+                "it, or write the values, such as seed=0,1"
+            ) from None
         except NotPlain:
             reason = "keys are not added, moved or deleted; write KEY=VALUE"
             raise BadInput(f"{text!r}: {reason}") from None

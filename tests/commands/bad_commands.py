@@ -40,11 +40,11 @@ MORE_BAD_COMMANDS = {
     "train house=rooms house.rows=[3,3] house.cols=[3,3]": "house.rows",
     "train -m seed=1,x": "seed",
     "train -m seed=interval(0,1)": "seed",
-    "train -m hydra/launcher=joblib": "pip install hydra-joblib-launcher",
+    "train -m hydra/launcher=rq": "is not installed; pip install hydra-rq-launcher",
     "train -m hydra/launcher=nope": "hydra/launcher=nope: no such level; valid: basic",
     "train -m hydra.nope=1": "hydra.nope: no such key of Hydra's",
     "train -m hydra.job.nam=x seed=1": "did you mean name?",
-    "train -m hydra/launcher=basic,joblib": "takes one value",
+    "train -m hydra/launcher=basic,nope": "takes one value",
     "train -m comm=plan,plam": "did you mean plan?",
     "train -m +experiment=comm_comparison,quick": "experiment: comm_comparison is a sweep",
     "train evaluation.team_sizes=[2,0]": "evaluation.team_sizes",
@@ -83,6 +83,7 @@ MORE_BAD_COMMANDS = {
     "benchmark seed=x": "seed",
     "list seed=1": "seed=1",
     "doctor now": "now",
+    "runs --state finshed": "no such state; did you mean finished?",
 }
 
 
