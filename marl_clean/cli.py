@@ -15,6 +15,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
 from marl_clean import __version__
+from marl_clean.commands.arguments import WITHOUT_SETTINGS, parser_of, plugin_option
 from marl_clean.errors import BadInput
 
 if TYPE_CHECKING:
@@ -106,6 +107,14 @@ def compare(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def report(arguments: argparse.Namespace) -> int:
+    """finished runs on one page, runs/report.html: tables, plots, episodes to play"""
+    from marl_clean.commands import report as command
+
+    command.main(arguments.runs, arguments.out, against=arguments.against)
+    return 0
+
+
 def matrix(arguments: argparse.Namespace) -> int:
     """policies trained over one channel, measured over others: a matrix and its figure"""
     from marl_clean.commands import matrix as command
@@ -172,14 +181,13 @@ COMMANDS = {
     "watch": watch,
     "figure": figure,
     "compare": compare,
+    "report": report,
     "matrix": matrix,
     "runs": runs,
     "benchmark": benchmark,
     "list": list_levels,
     "doctor": doctor,
 }
-WITHOUT_SETTINGS = ("list", "doctor", "compare", "matrix", "runs")
-ALSO = {"compare": "; draws runs/figures/compare.svg and .png, compare_2 of a second world, ..."}
 USAGE = """\
 marl-clean COMMAND [key=value ...]
 
@@ -190,13 +198,6 @@ Settings are Hydra overrides: `comm=none` selects a level of a room, `env.n_agen
 list` shows the choices; `marl-clean COMMAND --help` shows one command. `--plugin PACKAGE` after
 any command brings in levels of a package of your own.
 """
-
-
-class Parser(argparse.ArgumentParser):
-    """An ArgumentParser whose errors are BadInput like all others."""
-
-    def error(self, message: str) -> NoReturn:
-        raise BadInput(f"{message}; `{self.prog} --help` shows what is valid")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -232,72 +233,16 @@ def _run(argv: Sequence[str]) -> int:
         raise BadInput(f"{name}: no such command; {choices(name, COMMANDS)}")
     from marl_clean.config.locate import plugins_in_use
 
-    early, _ = _plugin_option().parse_known_args(argv[1:])
+    early, _ = plugin_option().parse_known_args(argv[1:])
     with plugins_in_use(early.plugin):
         shows_help = bool({"-h", "--help"}.intersection(argv))
-        arguments = _parser(name, shows_help).parse_intermixed_args(argv[1:])
+        parser = parser_of(name, COMMANDS[name].__doc__ or "", shows_help)
+        arguments = parser.parse_intermixed_args(argv[1:])
         if name not in WITHOUT_SETTINGS:
             from marl_clean.commands.shorthand import with_floor_plans
 
             arguments.settings = with_floor_plans(arguments.settings)
         return COMMANDS[name](arguments)
-
-
-def _plugin_option() -> Parser:
-    """Return the parser of `--plugin`, which takes effect before anything else is read."""
-    parser = Parser(add_help=False, allow_abbrev=False)
-    parser.add_argument(
-        "--plugin",
-        metavar="PACKAGE",
-        action="append",
-        default=[],
-        help="a package whose conf/ brings levels of its own; may be repeated",
-    )
-    return parser
-
-
-def _parser(name: str, shows_help: bool = False) -> Parser:
-    """Return a command's parser; with `shows_help` its help lists the rooms' levels."""
-    parser = Parser(
-        prog=f"marl-clean {name}",
-        description=f"{COMMANDS[name].__doc__}{ALSO.get(name, '')}",
-        epilog=_levels() if shows_help and name not in WITHOUT_SETTINGS else None,
-        parents=[_plugin_option()],
-    )
-    if name == "figure":
-        parser.add_argument("name", metavar="NAME", help="the figure, such as paper_1")
-    if name == "train":
-        parser.add_argument("-m", "--multirun", action="store_true", help="all combinations")
-    if name == "compare":
-        parser.add_argument("runs", metavar="RUN", nargs="+", help="finished runs, or exports")
-        parser.add_argument("--out", type=Path, help="rows as json, OUT_paired.json, ... beside")
-        parser.add_argument(
-            "--against", metavar="ROW", help="label of the row that the others are compared with"
-        )
-        parser.add_argument("--export", type=Path, metavar="FOLDER", help="json, csv and LaTeX")
-    if name == "matrix":
-        parser.add_argument("runs", metavar="RUN", nargs="+", help="folders of runs")
-        parser.add_argument(
-            "--channel",
-            metavar="STACK",
-            action="append",
-            help="such as lossy(loss=0.5),quantised; may be repeated; default: the runs' own",
-        )
-        parser.add_argument("--houses", type=int, help="number of test houses")
-        parser.add_argument("--out", type=Path, help="where to write the cells as json")
-    if name == "runs":
-        from marl_clean.commands.runs import add_arguments
-
-        add_arguments(parser)
-    if name not in WITHOUT_SETTINGS:
-        parser.add_argument("settings", metavar="key=value", nargs="*", help="Hydra overrides")
-    return parser
-
-
-def _levels() -> str:
-    from marl_clean.config.levels import rooms
-
-    return "levels: " + "; ".join(f"{room}={','.join(names)}" for room, names in rooms().items())
 
 
 def _usage() -> str:

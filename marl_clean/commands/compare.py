@@ -138,10 +138,11 @@ def compared(runs: Sequence[str], against: str | None = None) -> list[WorldCompa
         raise BadInput(
             f"compare: no finished run among {given}; give folders of {RUNS}/, or exports"
         )
-    return [_compared(key, world, against) for key, world in worlds.items()]
+    return [comparison_of(key, world, against) for key, world in worlds.items()]
 
 
-def _compared(key: str, world: World, against: str | None) -> WorldComparison:
+def comparison_of(key: str, world: World, against: str | None = None) -> WorldComparison:
+    """One world's rows, compared with a reference. Raises BadInput where no row is `against`."""
     rows = rows_of(world)
     pools = {row.label: pooled(list(row.runs.values()), row.label) for row in rows}
     entries = [*pools.values(), *world.planners.values()]

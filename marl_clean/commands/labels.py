@@ -11,8 +11,17 @@ Config = Mapping[str, Any]
 def labels(configs: Sequence[Config], without: Sequence[str]) -> list[str]:
     """One label per config: the settings in which they differ, those in `without` ignored.
 
-    Where the levels of a room differ, their keys are left out. Configs without any difference are
-    labelled `run`.
+    Configs without any difference are labelled `run`.
+    """
+    apart = settings_apart(configs, without)
+    texts = [" ".join(f"{key}={value}" for key, value in settings.items()) for settings in apart]
+    return [text or "run" for text in texts]
+
+
+def settings_apart(configs: Sequence[Config], without: Sequence[str]) -> list[dict[str, str]]:
+    """The settings in which configs differ, of each config by key, those in `without` ignored.
+
+    Where the levels of a room differ, their keys are left out.
     """
     differing: list[dict[str, str]] = [{} for _ in configs]
     for room in dict.fromkeys(key for config in configs for key in config):
@@ -29,8 +38,7 @@ def labels(configs: Sequence[Config], without: Sequence[str]) -> list[str]:
             if len({str(values.get(key)) for values in leaves}) > 1:
                 for settings, values in zip(differing, leaves, strict=True):
                     settings[key] = str(values.get(key))
-    texts = [" ".join(f"{key}={value}" for key, value in s.items()) for s in differing]
-    return [text or "run" for text in texts]
+    return differing
 
 
 def level_of(section: Any) -> str | None:

@@ -24,6 +24,8 @@ from marl_clean.evaluation.evaluator import (
 from marl_clean.evaluation.records import MEASURED, Entry, read_entries, write_entries
 from marl_clean.evaluation.table import make_table, output
 from marl_clean.report.curve import draw_curve
+from marl_clean.report.recorded import REPLAY
+from marl_clean.report.recording import make_recording
 from marl_clean.report.replay import make_replay
 from marl_clean.storage import files
 from marl_clean.storage.lock import locked
@@ -166,14 +168,16 @@ def of_team(cfg: DictConfig, size: int) -> DictConfig:
 def draw(cfg: DictConfig, folder: Path) -> None:
     """Draw what is not drawn yet: the learning curve beside nearest_unknown, and an episode.
 
-    Of an external task the curve alone.
+    The episode is drawn as a GIF and recorded as data. Of an external task the curve alone.
     """
     metrics, curve, replay = (folder / name for name in ("metrics.csv", "curve.png", "replay.gif"))
     if metrics.is_file() and not curve.is_file():
         draw_curve(metrics, curve, planner_means(cfg) if has_houses(cfg) else None)
-    if has_houses(cfg) and not replay.is_file():
+    recording = folder / REPLAY
+    if has_houses(cfg) and not (replay.is_file() and recording.is_file()):
         policy = build.load_policy(folder).to(cfg.device)
         make_replay(cfg, lambda env: policy, replay, cfg.evaluation.epsilon)
+        make_recording(cfg, lambda env: policy, recording, cfg.evaluation.epsilon)
 
 
 def planner_means(cfg: DictConfig) -> dict[str, float]:

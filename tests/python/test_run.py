@@ -23,6 +23,7 @@ def test_training_leaves_what_the_command_leaves(run: Run) -> None:
     assert run.folder == RUNS / "mine"
     assert {path.name for path in run.folder.iterdir()} >= {
         "config.yaml", "metrics.csv", "checkpoints", "evaluation.json", "curve.png", "replay.gif",
+        "replay.json",
     }  # fmt: skip
     assert run.config == load_config(run.folder) and run.config.env.num_envs == 8
 

@@ -1,0 +1,207 @@
+"""`marl-clean report RUNS...`: finished runs on one page, to read and to play; needs no torch."""
+
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from marl_clean.commands.compare import (
+    IGNORED_KEYS,
+    World,
+    WorldComparison,
+    comparison_of,
+    gather,
+    rows_of,
+)
+from marl_clean.commands.labels import settings_apart
+from marl_clean.config.stored import RUNS, find_run, load_config
+from marl_clean.errors import BadInput
+from marl_clean.evaluation.paired import cell_of
+from marl_clean.evaluation.paired import compared as compared_measures
+from marl_clean.evaluation.records import Entry
+from marl_clean.evaluation.table import YARDSTICK, interval, output, row_of
+from marl_clean.report.curve import Series, read_metrics
+from marl_clean.report.html import Part, render
+from marl_clean.report.plots import Rows, Shown, curves, plots
+from marl_clean.report.recorded import REPLAY, Recording, read_recording
+from marl_clean.storage import files
+
+METRICS = "metrics.csv"
+NOTE = (
+    "Means over houses and seeds with 95 % intervals; a house not finished counts as its max_steps."
+)
+SETTINGS = "Only what sets the runs apart; seeds are pooled."
+LONGEST_NAME = 28  # characters of a row's label that a legend has room for
+log = logging.getLogger(__name__)
+
+
+def main(
+    runs: Sequence[str],
+    out: Path | None = None,
+    console: Console | None = None,
+    against: str | None = None,
+) -> Path:
+    """Write the page of `runs` to `out`, by default runs/report.html, and return its path.
+
+    Runs that are empty, unfinished, damaged or of another version are logged in a line each and
+    left out.
+
+    Raises BadInput where no run is left, or no row is labelled `against`.
+    """
+    console = console or output()
+    folders = folders_of(runs)
+    worlds = gather(runs)
+    if not worlds:
+        raise BadInput(f"report: no finished run among {', '.join(runs)}; give folders of {RUNS}/")
+    comparisons = [comparison_of(key, world, against) for key, world in worlds.items()]
+    short, settings = names_of(worlds.values())
+    parts = [] if settings is None else [Part("Settings", SETTINGS, [("Settings", settings)])]
+    parts += [part_of(*pair, short) for pair in zip(worlds.values(), comparisons, strict=True)]
+    parts += learning_of(worlds.values(), folders, short)
+    replays = [recording for folder in folders.values() for recording in recordings_in(folder)]
+    title = f"{len(folders)} runs" if len(folders) != 1 else next(iter(folders))
+    page = render(title, [NOTE], parts, replays)
+    path = out or RUNS / "report.html"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        files.write_file(path, [page.encode()])
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written: {error.strerror}") from error
+    console.print(f"written to {path}", soft_wrap=True)
+    return path
+
+
+def folders_of(runs: Sequence[str]) -> dict[str, Path]:
+    """The folders of those runs that can be read, by name; the others are logged by `compared`."""
+    folders = {}
+    for run in runs:
+        try:
+            folder = find_run(run)
+            folders[str(load_config(folder)["name"])] = folder
+        except BadInput:
+            continue
+    return folders
+
+
+def part_of(world: World, comparison: WorldComparison, short: Mapping[str, str]) -> Part:
+    """One world's measures and plots; `short` are the names of rows on the page."""
+    first = comparison.entries[0]
+    title = f"{first['house_set']}, {first['n_agents']} robots"
+    if "T_100" not in first["summary"]:
+        return Part(title, tables=[("Returns", returns_table(comparison.entries, short))])
+    rows = rows_of(world)
+    shown = [
+        Shown(short[row.label], comparison.pools[row.label], list(row.runs.values()))
+        for row in rows
+    ]
+    if comparison.planner is not None:
+        shown.append(Shown(YARDSTICK, comparison.planner))
+    tables = [("Measures", measures_table(comparison, short))]
+    if comparison.reference is not None and comparison.differences:
+        reference = short.get(comparison.reference.label, comparison.reference.label)
+        caption = f"Minus {reference}, house by house and seed by seed"
+        tables.append((caption, paired_table(comparison, short)))
+    houses = len(next(iter(rows[0].runs.values()))["houses"])
+    seeds = ", ".join(f"{short[row.label]}: {len(row.runs)}" for row in rows)
+    return Part(title, f"{houses} episodes a run; runs by seed: {seeds}.", tables, plots(shown))
+
+
+def learning_of(
+    worlds: Iterable[World], folders: Mapping[str, Path], short: Mapping[str, str]
+) -> list[Part]:
+    """The part on learning: what each run logged, a row for each setting, once for all worlds."""
+    learnt: dict[str, dict[str, Mapping[str, Series]]] = {}
+    for world in worlds:
+        for row in rows_of(world):
+            runs = learnt.setdefault(short[row.label], {})
+            for entry in row.runs.values():
+                name = entry["policy"]
+                if name in folders and name not in runs:
+                    runs[name] = metrics_of(folders[name])
+    drawn = curves(learnt)
+    return (
+        [Part("Learning", "On validation houses; a thin line a seed.", (), drawn)] if drawn else []
+    )
+
+
+def names_of(worlds: Iterable[World]) -> tuple[dict[str, str], Rows | None]:
+    """Short names of rows by their labels, and a table of the settings in which they differ.
+
+    A label is its own name where all are short; else rows are A, B, C, ...
+    """
+    configs = {
+        row.label: setting.config
+        for world in worlds
+        for row, setting in zip(rows_of(world), world.settings.values(), strict=True)
+    }
+    letters = max(map(len, configs)) > LONGEST_NAME
+    short = {label: letter(i) if letters else label for i, label in enumerate(configs)}
+    if len(configs) < 2:
+        return short, None
+    apart = settings_apart(list(configs.values()), IGNORED_KEYS)
+    keys = list(dict.fromkeys(key for settings in apart for key in settings))
+    lines = [[key, *(settings.get(key, "") for settings in apart)] for key in keys]
+    return short, [["setting", *short.values()], *lines]
+
+
+def letter(index: int) -> str:
+    """A, B, ..., Z, A1, B1, ..."""
+    return f"{chr(ord('A') + index % 26)}{index // 26 or ''}"
+
+
+def metrics_of(folder: Path) -> Mapping[str, Series]:
+    """What a run logged; nothing, with a line in the log, where its metrics.csv is damaged."""
+    if not (folder / METRICS).is_file():
+        return {}
+    try:
+        return read_metrics(folder / METRICS)
+    except (BadInput, ValueError) as error:
+        log.warning("left out: %s", error)
+        return {}
+
+
+def recordings_in(folder: Path) -> list[Recording]:
+    """The run's recorded episode, if it has one that is whole."""
+    if not (folder / REPLAY).is_file():
+        return []
+    try:
+        return [read_recording(folder / REPLAY)]
+    except BadInput as error:
+        log.warning("left out: %s", error)
+        return []
+
+
+def measures_table(comparison: WorldComparison, short: Mapping[str, str]) -> Rows:
+    """The cells of the table in the terminal."""
+    titles = ["policy", "finished", "T_90", "x", "T_100", "x", "coverage", "redundancy"]
+    lines = [
+        [name_of(entry, short), *row_of(entry, comparison.planner)] for entry in comparison.entries
+    ]
+    return [titles, *lines]
+
+
+def name_of(entry: Entry, short: Mapping[str, str]) -> str:
+    """The name on the page of a row's pooled entry, or of a planner's."""
+    label, seeds, number = entry["policy"].partition(" (")
+    return f"{short.get(label, label)}{seeds}{number}"
+
+
+def returns_table(entries: Sequence[Entry], short: Mapping[str, str]) -> Rows:
+    lines = [[name_of(entry, short), interval(entry["summary"]["return"])] for entry in entries]
+    return [["policy", "return"], *lines]
+
+
+def paired_table(comparison: WorldComparison, short: Mapping[str, str]) -> Rows:
+    """Paired differences; ** and * as in the terminal: p < 0.05 after and before correction."""
+    assert comparison.reference is not None
+    measures = compared_measures(comparison.reference)
+    lines = [
+        [
+            short[result["row"]],
+            str(len(result["seeds"])),
+            *(cell_of(result[measure], measure) for measure in measures),
+        ]
+        for result in comparison.differences
+    ]
+    return [["policy", "seeds", *measures], *lines]
