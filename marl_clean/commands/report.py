@@ -6,16 +6,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from marl_clean.commands.compare import (
-    IGNORED_KEYS,
-    World,
-    WorldComparison,
-    comparison_of,
-    gather,
-    rows_of,
-)
+from marl_clean.commands.compare import WorldComparison, comparison_of
+from marl_clean.commands.gathering import IGNORED_KEYS, World, gather, rows_of
 from marl_clean.commands.labels import settings_apart
-from marl_clean.config.stored import RUNS, find_run, load_config
+from marl_clean.config.stored import RUNS
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.paired import cell_of
 from marl_clean.evaluation.paired import compared as compared_measures
@@ -50,17 +44,18 @@ def main(
     Raises BadInput where no run is left, or no row is labelled `against`.
     """
     console = console or output()
-    folders = folders_of(runs)
     worlds = gather(runs)
     if not worlds:
         raise BadInput(f"report: no finished run among {', '.join(runs)}; give folders of {RUNS}/")
+    folders = folders_of(worlds.values())
     comparisons = [comparison_of(key, world, against) for key, world in worlds.items()]
     short, settings = names_of(worlds.values())
     parts = [] if settings is None else [Part("Settings", SETTINGS, [("Settings", settings)])]
     parts += [part_of(*pair, short) for pair in zip(worlds.values(), comparisons, strict=True)]
     parts += learning_of(worlds.values(), folders, short)
     replays = [recording for folder in folders.values() for recording in recordings_in(folder)]
-    title = f"{len(folders)} runs" if len(folders) != 1 else next(iter(folders))
+    names = dict.fromkeys(entry["policy"] for world in worlds.values() for entry in learned(world))
+    title = f"{len(names)} runs" if len(names) != 1 else next(iter(names))
     page = render(title, [NOTE], parts, replays)
     path = out or RUNS / "report.html"
     try:
@@ -72,16 +67,19 @@ def main(
     return path
 
 
-def folders_of(runs: Sequence[str]) -> dict[str, Path]:
-    """The folders of those runs that can be read, by name; the others are logged by `compared`."""
-    folders = {}
-    for run in runs:
-        try:
-            folder = find_run(run)
-            folders[str(load_config(folder)["name"])] = folder
-        except BadInput:
-            continue
-    return folders
+def learned(world: World) -> list[Entry]:
+    """The entries of all runs, without planners."""
+    return [entry for setting in world.settings.values() for entry in setting.runs.values()]
+
+
+def folders_of(worlds: Iterable[World]) -> dict[str, Path]:
+    """The folders of the runs by name; exports have none."""
+    return {
+        setting.runs[seed]["policy"]: folder
+        for world in worlds
+        for setting in world.settings.values()
+        for seed, folder in setting.folders.items()
+    }
 
 
 def part_of(world: World, comparison: WorldComparison, short: Mapping[str, str]) -> Part:
@@ -137,9 +135,10 @@ def names_of(worlds: Iterable[World]) -> tuple[dict[str, str], Rows | None]:
     }
     letters = max(map(len, configs)) > LONGEST_NAME
     short = {label: letter(i) if letters else label for i, label in enumerate(configs)}
-    if len(configs) < 2:
+    stored = [config for config in configs.values() if config is not None]
+    if len(stored) < 2 or len(stored) < len(configs):  # exports hold no configs
         return short, None
-    apart = settings_apart(list(configs.values()), IGNORED_KEYS)
+    apart = settings_apart(stored, IGNORED_KEYS)
     keys = list(dict.fromkeys(key for settings in apart for key in settings))
     lines = [[key, *(settings.get(key, "") for settings in apart)] for key in keys]
     return short, [["setting", *short.values()], *lines]
