@@ -82,6 +82,8 @@ def read_marl_eval(path: Path) -> list[Measured]:
                 for run in algorithm.values():
                     item = _measured(path, run[ABSOLUTE])
                     result += [] if item is None else [item]
+    except BadInput:
+        raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise BadInput(f"{path}: {RECORDS}: not as exported ({error!r}); damaged?") from error
     refuse_repeated(path, result)

@@ -6,7 +6,6 @@ import pytest
 from omegaconf import OmegaConf
 
 from marl_clean import cli
-from marl_clean.commands import train
 from marl_clean.commands.matrix import Trained, section_of, trained_over
 from marl_clean.config.compose import compose_config
 
@@ -35,9 +34,8 @@ def runs(tmp_path_factory):
     place = tmp_path_factory.mktemp("matrix")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
-        patch.setattr(train, "draw", lambda config, folder: None)
-        swept = ["channel=perfect,delayed", "comm=plan"]
-        assert cli.main(["train", "-m", *TINY, *swept, "seed=0,1", "name=x"]) == 0
+        swept = ["channel=perfect,delayed", "comm=plan", "seed=0,1", "name=x"]
+        assert cli.main(["train", "-m", "hydra/launcher=basic", *TINY, *swept]) == 0
         assert cli.main(["train", *TINY, "comm=none", "name=silent"]) == 0
     return place
 

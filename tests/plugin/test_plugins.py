@@ -185,9 +185,14 @@ def test_an_untrusted_config_imports_nothing_else(
 
 def test_jobs_of_a_sweep_know_the_plugins_in_whatever_process(make: Make, monkeypatch) -> None:
     tasks = []
-    monkeypatch.setattr(sweep, "launch", lambda task, jobs, overrides: tasks.append((task, jobs)))
+
+    def launch(task: object, jobs: list, overrides: list) -> list[None]:
+        tasks.append((task, jobs))
+        return [None] * len(jobs)
+
+    monkeypatch.setattr(sweep, "launch", launch)
     with locate.plugins_in_use([make()]):
-        sweep.run(["comm=hush,none", "seed=0"])
+        assert sweep.run(["comm=hush,none", "seed=0"]) == 1  # nothing was trained
     [(task, jobs)] = tasks
     assert task.keywords == {"plugins": ["hushed"]} and len(jobs) == 2
 

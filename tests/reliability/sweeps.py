@@ -64,28 +64,31 @@ class Sweep:
     def __init__(self, place: Path, launcher: str, jobs: int, seconds: float) -> None:
         self.place, self.launcher, self.jobs = place, launcher, jobs
         self.environment = environment(place / "path", seconds)
+        self.printed = place / "printed.txt"
         self.starts = self.kills = 0
         self.wall = 0.0
 
-    def start(self) -> subprocess.Popen[str]:
-        """Start the command."""
+    def start(self) -> subprocess.Popen[bytes]:
+        """Start the command.
+
+        It prints into a file: a worker that outlives its driver would keep a pipe open.
+        """
         self.starts += 1
-        return subprocess.Popen(
-            command(self.launcher, self.jobs),
-            cwd=self.place,
-            env=self.environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
+        with self.printed.open("wb") as file:
+            return subprocess.Popen(
+                command(self.launcher, self.jobs),
+                cwd=self.place,
+                env=self.environment,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+            )
 
     def run(self) -> tuple[int, str]:
         """Run the command to its end; return its exit code and what it printed."""
         began = time.monotonic()
-        process = self.start()
-        out, _ = process.communicate()
+        code = self.start().wait()
         self.wall += time.monotonic() - began
-        return process.returncode, out
+        return code, self.printed.read_text()
 
     def disturb(self, kills: int) -> None:
         """Kill `kills` workers while they train, one now and then, and then the driver."""
@@ -94,7 +97,6 @@ class Sweep:
         for _ in range(kills):
             while not (inside := set(training(self.place).values()) - killed):
                 if process.poll() is not None:
-                    process.communicate()
                     process = self.start()
                 time.sleep(0.02)
             time.sleep(draw.uniform(0, 0.5))
@@ -108,7 +110,7 @@ class Sweep:
         while not training(self.place) and process.poll() is None:
             time.sleep(0.02)
         process.kill()
-        process.communicate()
+        process.wait()
 
     def complete(self) -> str:
         """Give the same command until it ends with 0; return its last table."""
