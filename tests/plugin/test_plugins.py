@@ -194,7 +194,7 @@ def test_jobs_of_a_sweep_know_the_plugins_in_whatever_process(make: Make, monkey
     with locate.plugins_in_use([make()]):
         assert sweep.run(["comm=hush,none", "seed=0"]) == 1  # nothing was trained
     [(task, jobs)] = tasks
-    assert task.keywords == {"plugins": ["hushed"]} and len(jobs) == 2
+    assert task.keywords["plugins"] == ["hushed"] and len(jobs) == 2
 
 
 def test_without_plugins_no_line_of_the_list_is_marked() -> None:
