@@ -69,6 +69,7 @@ def test_seeds_are_pooled_and_other_settings_are_not(tmp_path) -> None:
     assert json.loads((tmp_path / "out.json").read_text()) == rows
 
 
+@pytest.mark.slow
 def test_what_is_no_finished_run_is_left_out_in_one_line(tmp_path, caplog) -> None:
     good = write_run(tmp_path / "good", [], [40, 60])
     half = tmp_path / "half"
@@ -82,6 +83,7 @@ def test_what_is_no_finished_run_is_left_out_in_one_line(tmp_path, caplog) -> No
     assert "half" in caplog.messages[0] and "foreign" in caplog.messages[1]
 
 
+@pytest.mark.slow
 def test_runs_on_other_houses_stand_in_a_table_of_their_own(tmp_path) -> None:
     runs = [
         write_run(tmp_path / "a-s0", ["seed=0"], [40, 60]),
@@ -313,6 +315,7 @@ def test_a_silent_row_is_the_reference_wherever_it_stands(tmp_path) -> None:
     assert {difference["reference"] for difference in paired} == {"reward=team comm=none"}
 
 
+@pytest.mark.slow
 def test_the_figures_are_drawn_with_every_seed(tmp_path) -> None:
     runs = [
         write_run(tmp_path / "plan-s0", ["seed=0"], [40, 60]),
@@ -340,6 +343,7 @@ def test_the_figures_are_drawn_with_every_seed(tmp_path) -> None:
             assert text in drawn
 
 
+@pytest.mark.slow
 def test_every_row_has_its_statistics_and_its_seeds(tmp_path) -> None:
     runs = [
         write_run(tmp_path / "plan-s0", ["seed=0"], [40, 60]),

@@ -56,6 +56,7 @@ def everything(runs: list[str], folder: Path) -> list[str]:
     return [console.export_text().replace(str(folder), ""), *texts]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", READABLE)
 def test_an_export_gives_the_tables_of_the_folders(
     name: str, runs: list[str], exported: Path, tmp_path: Path
@@ -64,6 +65,7 @@ def test_an_export_gives_the_tables_of_the_folders(
     assert everything([str(exported / name)], tmp_path / "export") == expected
 
 
+@pytest.mark.slow
 def test_an_export_and_folders_are_compared_together(runs: list[str], tmp_path: Path) -> None:
     compare.main(runs[:2], None, QUIET, figure=False, export=tmp_path / "half")
     rows = compare.main([str(tmp_path / "half/tidy.csv"), *runs[2:4]], None, QUIET, figure=False)

@@ -53,6 +53,7 @@ def run(*settings: str) -> tuple[int, str]:
     return code, out.getvalue()
 
 
+@pytest.mark.slow
 def test_a_failed_job_is_named_and_tried_again_and_no_other_is(trained, capsys):
     code, table = run("seed=1,13,2")
     assert (code, trained) == (1, [1, 13, 2])
@@ -71,6 +72,7 @@ def test_a_failed_job_is_named_and_tried_again_and_no_other_is(trained, capsys):
     assert (again, trained) == (1, [1, 13, 2, 13])
 
 
+@pytest.mark.slow
 def test_a_result_that_does_not_verify_is_made_again(trained):
     assert run("seed=1,2,3")[0] == 0
     torn, flipped, kept = sorted(Path("runs").iterdir())
@@ -86,6 +88,7 @@ def test_a_result_that_does_not_verify_is_made_again(trained):
     assert (kept / "evaluation.json").stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
 def test_a_held_job_is_left_to_its_process_and_named(trained):
     jobs = sweep.named_jobs(sweep.parse_overrides(["seed=1,2"]))
     with locked(jobs[0].folder):

@@ -34,6 +34,7 @@ def built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_wheel_carries_its_own_configs(built: Path) -> None:
     wheel = built / build_wheel(str(built))
     site = built / "some site"

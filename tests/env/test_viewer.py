@@ -120,6 +120,7 @@ def test_a_cell_of_a_usual_house_has_24_pixels(rows, cols):
     assert np.array_equal(draw(scene), draw(scene, 24))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rows", "cols"), [(256, 256), (1500, 3000)])
 def test_a_picture_is_bounded_whatever_the_house(rows, cols):
     scene = scene_of(rows, cols, positions=[(rows // 2, cols // 2)])

@@ -56,6 +56,7 @@ def assert_sees(drawn: list[Case], observation: Observation, expected: Expected)
                 playing[index] = not (outcome.terminated or outcome.truncated)
 
 
+@pytest.mark.slow
 @given(case=small_cases, side=sides, noise=noises)
 @hypothesis_settings(max_examples=25, deadline=None)
 def test_a_crop_is_around_where_the_robot_thinks_it_is(case: Case, side: int, noise: float) -> None:
@@ -98,6 +99,7 @@ def test_a_global_map_is_all_of_it(case: Case) -> None:
     assert_sees([case], GlobalMap(LARGEST), expected)
 
 
+@pytest.mark.slow
 @family("memory", Memory, fast=1)
 @given(data=st.data())
 @hypothesis_settings(max_examples=6, deadline=None)

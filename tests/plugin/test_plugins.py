@@ -62,6 +62,7 @@ def run(capsys: pytest.CaptureFixture, *arguments: str) -> tuple[int, str, str]:
     return code, captured.out, captured.err
 
 
+@pytest.mark.slow
 def test_its_levels_are_listed_helped_with_and_named_in_errors(make: Make, capsys) -> None:
     """And the package, which explodes, is not imported for it."""
     named = ("--plugin", make())

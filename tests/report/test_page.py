@@ -20,7 +20,7 @@ from marl_clean.report.recording import make_recording, record
 from tests.commands.test_compare import write_run
 from tests.report.pages import ask
 
-pytestmark = pytest.mark.usefixtures("unchecked")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("unchecked")]  # browsers start
 
 QUIET = Console(quiet=True)
 SMALL = ["house=rooms", "house.rows=[7,7]", "house.cols=[9,9]", "env.n_agents=3"]
@@ -186,7 +186,6 @@ def test_names_are_text_and_no_markup(
     assert counts[0] == counts[1]
 
 
-@pytest.mark.slow
 def test_a_report_of_runs_shows_their_numbers_and_asks_nobody(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
