@@ -18,6 +18,8 @@ from marl_clean.report.episode import first_held_out, scenes
 from marl_clean.report.recorded import AVAILABLE, LEVELS, read_recording
 from marl_clean.report.recording import make_recording, record
 
+pytestmark = pytest.mark.slow  # episodes are played
+
 SMALL = ["house=rooms", "house.rows=[7,7]", "house.cols=[9,9]", "env.n_agents=3"]
 FURNISHED = ["env.furniture_moves_per_episode=9", "env.max_steps=40", "env.decay_steps=20"]
 
@@ -81,7 +83,6 @@ def check_code(code: int, value: float) -> None:
         assert abs(code - AVAILABLE - min(value / FRESH, 1.0) * LEVELS) <= 0.5 + 1e-5
 
 
-@pytest.mark.slow
 def test_messages_are_those_that_were_sent() -> None:
     settings = ["comm=plan", "comm.message_dim=5", "env.max_steps=12"]
     cfg, policy = policy_for(settings)
@@ -106,7 +107,6 @@ def test_messages_are_those_that_were_sent() -> None:
     }  # over up to 2 edges
 
 
-@pytest.mark.slow
 def test_who_sends_nothing_has_no_messages() -> None:
     cfg, policy = policy_for(["comm=none", "env.max_steps=5"])
     assert {"bits", "messages"}.isdisjoint(record(first_held_out(cfg), policy))
