@@ -9,7 +9,6 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 
 from rich import box
 from rich.console import Console, Group
@@ -17,7 +16,9 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from marl_clean.commands.run_info import METRICS, RunInfo, Score, State, last_validation, look
+from marl_clean.commands.run_info import RunInfo, Score, State, last_validation, look
+from marl_clean.config.stored import METRICS
+from marl_clean.storage.lock import LOCK
 
 MOST_ROWS = 20
 ENDED = (State.FINISHED, State.FAILED)
@@ -85,12 +86,7 @@ class Watch:
         self.thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.ended.set()
         self.thread.join()
         self._show()
@@ -122,7 +118,7 @@ class Watch:
         changes = []
         for name, folder in self.folders.items():
             before = self.infos.get(name)
-            if before is not None and before.state in ENDED and not (folder / ".lock").exists():
+            if before is not None and before.state in ENDED and not (folder / LOCK).exists():
                 continue
             try:
                 info = look(folder, name)

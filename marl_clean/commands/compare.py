@@ -18,7 +18,7 @@ from marl_clean.commands.gathering import (
     reference_of,
     rows_of,
 )
-from marl_clean.config.stored import RUNS
+from marl_clean.config.stored import METRICS, RUNS
 from marl_clean.errors import BadInput
 from marl_clean.evaluation import marl_eval, tidy
 from marl_clean.evaluation.latex import to_latex
@@ -29,7 +29,7 @@ from marl_clean.evaluation.row_statistics import make_statistics_table, row_stat
 from marl_clean.evaluation.table import YARDSTICK, make_table, output
 from marl_clean.storage import files
 
-METRICS, VALIDATION, LATEX = "metrics.csv", "validation/", "tables.tex"
+VALIDATION, LATEX = "validation/", "tables.tex"
 log = logging.getLogger(__name__)
 
 

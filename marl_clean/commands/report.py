@@ -9,7 +9,7 @@ from rich.console import Console
 from marl_clean.commands.compare import WorldComparison, comparison_of
 from marl_clean.commands.gathering import IGNORED_KEYS, World, gather, rows_of
 from marl_clean.commands.labels import settings_apart
-from marl_clean.config.stored import RUNS
+from marl_clean.config.stored import METRICS, RUNS
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.paired import cell_of
 from marl_clean.evaluation.paired import compared as compared_measures
@@ -21,11 +21,11 @@ from marl_clean.report.plots import Rows, Shown, curves, plots
 from marl_clean.report.recorded import REPLAY, Recording, read_recording
 from marl_clean.storage import files
 
-METRICS = "metrics.csv"
 NOTE = (
     "Means over houses and seeds with 95 % intervals; a house not finished counts as its max_steps."
 )
 SETTINGS = "Only what sets the runs apart; seeds are pooled."
+STARS = "** p < 0.05 after Holm's correction, * before it"
 LONGEST_NAME = 28  # characters of a row's label that a legend has room for
 log = logging.getLogger(__name__)
 
@@ -89,16 +89,22 @@ def part_of(world: World, comparison: WorldComparison, short: Mapping[str, str])
     if "T_100" not in first["summary"]:
         return Part(title, tables=[("Returns", returns_table(comparison.entries, short))])
     rows = rows_of(world)
+    finished_by = {row["row"]: row["finished_by"] for row in comparison.statistics}
     shown = [
-        Shown(short[row.label], comparison.pools[row.label], list(row.runs.values()))
+        Shown(
+            short[row.label],
+            comparison.pools[row.label],
+            list(row.runs.values()),
+            finished_by[row.label],
+        )
         for row in rows
     ]
     if comparison.planner is not None:
-        shown.append(Shown(YARDSTICK, comparison.planner))
+        shown.append(Shown(YARDSTICK, comparison.planner, (), finished_by[YARDSTICK]))
     tables = [("Measures", measures_table(comparison, short))]
     if comparison.reference is not None and comparison.differences:
         reference = short.get(comparison.reference.label, comparison.reference.label)
-        caption = f"Minus {reference}, house by house and seed by seed"
+        caption = f"Minus {reference}, house by house and seed by seed; {STARS}"
         tables.append((caption, paired_table(comparison, short)))
     houses = len(next(iter(rows[0].runs.values()))["houses"])
     seeds = ", ".join(f"{short[row.label]}: {len(row.runs)}" for row in rows)
@@ -155,7 +161,7 @@ def metrics_of(folder: Path) -> Mapping[str, Series]:
         return {}
     try:
         return read_metrics(folder / METRICS)
-    except (BadInput, ValueError) as error:
+    except BadInput as error:
         log.warning("left out: %s", error)
         return {}
 

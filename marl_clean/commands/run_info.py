@@ -15,12 +15,12 @@ from typing import Any
 from omegaconf import DictConfig
 
 from marl_clean.config.compose import has_houses
-from marl_clean.config.stored import CONFIG
+from marl_clean.config.stored import CONFIG, METRICS
 from marl_clean.errors import BadInput
 from marl_clean.storage import manifest
 from marl_clean.storage.lock import Holder, holder
 
-METRICS, MEASURED, PICTURES = "metrics.csv", "evaluation.json", ("curve.png", "replay.gif")
+MEASURED, PICTURES = "evaluation.json", ("curve.png", "replay.gif")
 FAILED, LOG = "failed.txt", "job.log"  # of a job of a sweep: why it failed, and what it printed
 YARDSTICK = "nearest_unknown"
 SCORES = ("T_90", "return")  # the first that was measured is a run's score

@@ -12,7 +12,7 @@ from marl_clean import build
 from marl_clean.commands._plan_lines import write_plan_lines
 from marl_clean.config.compose import compose_config, has_houses
 from marl_clean.config.schema import instantiate
-from marl_clean.config.stored import CONFIG, find_run, load_config
+from marl_clean.config.stored import CONFIG, METRICS, find_run, load_config
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.evaluator import (
     in_any_env,
@@ -170,7 +170,7 @@ def draw(cfg: DictConfig, folder: Path) -> None:
 
     The episode is drawn as a GIF and recorded as data. Of an external task the curve alone.
     """
-    metrics, curve, replay = (folder / name for name in ("metrics.csv", "curve.png", "replay.gif"))
+    metrics, curve, replay = (folder / name for name in (METRICS, "curve.png", "replay.gif"))
     if metrics.is_file() and not curve.is_file():
         draw_curve(metrics, curve, planner_means(cfg) if has_houses(cfg) else None)
     recording = folder / REPLAY

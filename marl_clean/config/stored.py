@@ -32,7 +32,7 @@ from marl_clean.storage.manifest import weights_sha256
 from marl_clean.storage.safe_yaml import load_yaml
 
 RUNS = Path("runs")
-CONFIG = "config.yaml"
+CONFIG, METRICS = "config.yaml", "metrics.csv"  # of a run's folder
 LONGEST_PART, LONGEST_PATH = 255, 4000  # characters of a file's name and path
 WEIGHTS = "weights"
 NETWORK = ("observation", "encoder", "comm", "agent", "parameter_budget")

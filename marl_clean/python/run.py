@@ -15,7 +15,7 @@ from marl_clean import build
 from marl_clean.commands.checks import check_device
 from marl_clean.config.compose import checked
 from marl_clean.config.config_hash import config_hash
-from marl_clean.config.stored import RUNS, find_run, load_config
+from marl_clean.config.stored import METRICS, RUNS, find_run, load_config
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.records import MEASURED, read_entries
 from marl_clean.python.keywords import overrides_of
@@ -24,7 +24,7 @@ from marl_clean.python.table import Table
 from marl_clean.report.curve import plot_curve, read_metrics
 from marl_clean.report.replay import make_replay
 
-REPLAY, METRICS = "replay.gif", "metrics.csv"
+REPLAY = "replay.gif"
 
 
 class Run:

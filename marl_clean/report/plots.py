@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
 from marl_clean.env.viewer import ROBOTS
+from marl_clean.evaluation.aggregates import mean
+from marl_clean.evaluation.efficiency import sample_efficiency
 from marl_clean.evaluation.records import TIMES, Entry
 from marl_clean.report.axes import new_figure, unit
 from marl_clean.report.curve import Series
@@ -22,6 +24,7 @@ WIDTH, HEIGHT = 4.2, 2.9  # inches: at the smallest width of a page, text is of 
 MARKS = "os^Dv<>P"
 SHOWN_TIMES = tuple(f"T_{name}" for name in TIMES if name.isdigit())
 CURVES = ("T_100", "finished")
+SHOWN_STEPS = 10  # of a profile, in the table behind it
 Rows = Sequence[Sequence[str]]
 
 
@@ -36,11 +39,18 @@ class Plot:
 
 @dataclass(frozen=True)
 class Shown:
-    """One row of a report: its name, and the entries of its seeds, pooled and each."""
+    """One row of a report.
+
+    Attributes:
+        label: its name on the page.
+        pooled, seeds: the entries of its seeds, as one and each.
+        finished_by: the share of houses finished by a step, as `evaluation.row_statistics` has it.
+    """
 
     label: str
     pooled: Entry
-    seeds: Sequence[Entry] = ()
+    seeds: Sequence[Entry]
+    finished_by: Mapping[str, Sequence[float]]
 
 
 def plots(rows: Sequence[Shown]) -> list[Plot]:
@@ -64,8 +74,8 @@ def times(rows: Sequence[Shown]) -> Plot:
             axes.plot([low, high], [at, at], color=_colour(index), linewidth=1.5)
             axes.plot(summary["mean"], at, _mark(index), color=_colour(index), label=label)
             for entry in row.seeds:
-                mean = entry["summary"][measure]["mean"]
-                axes.plot(mean, at, ".", color=_colour(index), markersize=3, alpha=0.6)
+                own = entry["summary"][measure]["mean"]
+                axes.plot(own, at, ".", color=_colour(index), markersize=3, alpha=0.6)
             cells.append(f"{summary['mean']:.1f} [{low:.1f}, {high:.1f}]")
         numbers.append([row.label, *cells])
     axes.set_yticks(range(len(SHOWN_TIMES)), list(SHOWN_TIMES))
@@ -76,19 +86,20 @@ def times(rows: Sequence[Shown]) -> Plot:
 
 
 def profile(rows: Sequence[Shown]) -> Plot:
-    """The share of houses finished by each step."""
+    """The share of houses finished by each step, with pointwise bands."""
     figure, axes = _axes()
-    longest = max(house["max_steps"] for row in rows for house in row.pooled["houses"])
-    steps = np.linspace(0, longest, 101)
-    shown = steps[::10]
-    numbers = [["policy", *(f"{step:.0f}" for step in shown)]]
+    steps = rows[0].finished_by["grid"]
+    shown = range(0, len(steps), max(1, len(steps) // SHOWN_STEPS))
+    numbers = [["policy", *(f"{steps[place]:.0f}" for place in shown)]]
     for index, row in enumerate(rows):
-        ends = [house["T_100"] for house in row.pooled["houses"]]
-        finished = np.sort([end for end in ends if end is not None])
-        share = np.searchsorted(finished, steps, side="right") / len(ends)
-        axes.plot(steps, 100 * share, color=_colour(index), label=row.label, linewidth=1.3)
-        numbers.append([row.label, *(f"{100 * value:.0f} %" for value in share[::10])])
-    axes.set(xlabel="steps", ylabel="houses finished, %", ylim=(-2, 102), xlim=(0, longest))
+        share, low, high = (
+            [100 * value for value in row.finished_by[name]] for name in ("share", "low", "high")
+        )
+        axes.fill_between(steps, low, high, color=_colour(index), alpha=0.15, linewidth=0)
+        axes.plot(steps, share, color=_colour(index), label=row.label, linewidth=1.3)
+        cells = (f"{share[at]:.0f} [{low[at]:.0f}, {high[at]:.0f}] %" for at in shown)
+        numbers.append([row.label, *cells])
+    axes.set(xlabel="steps", ylabel="houses finished, %", ylim=(-2, 102), xlim=(0, steps[-1]))
     return _finish("Share of houses finished by a step", figure, axes, numbers)
 
 
@@ -99,24 +110,26 @@ def curves(learnt: Mapping[str, Mapping[str, Mapping[str, Series]]]) -> list[Plo
 
 
 def curve(learnt: Mapping[str, Mapping[str, Mapping[str, Series]]], measure: str) -> Plot | None:
-    """One measure: a thin line a seed, a thick one their mean; None where nobody logged it."""
+    """One measure: a thin line a seed, a thick one their mean with its band; None without any."""
     column = f"validation/{measure}"
     figure, axes = _axes()
     numbers = [["policy", "frames", "mean", "seeds"]]
     for index, (label, runs) in enumerate(learnt.items()):
         lines = [columns[column] for columns in runs.values() if column in columns]
-        by_frames: dict[float, list[float]] = {}
+        of_seeds = sample_efficiency(lines, mean)
+        if of_seeds is None:
+            continue
         for line in lines:
             axes.plot(*zip(*line, strict=True), color=_colour(index), linewidth=0.6, alpha=0.5)
-            for frames, value in line:
-                by_frames.setdefault(frames, []).append(value)
-        means = [(frames, np.mean(values)) for frames, values in sorted(by_frames.items())]
-        if means:
-            axes.plot(*zip(*means, strict=True), color=_colour(index), label=label)
-        numbers += [
-            [label, f"{frames:,.0f}", f"{mean:.3g}", str(len(by_frames[frames]))]
-            for frames, mean in means
-        ]
+        band = (of_seeds.frames, of_seeds.low, of_seeds.high)
+        axes.fill_between(*band, color=_colour(index), alpha=0.15, linewidth=0)
+        axes.plot(of_seeds.frames, of_seeds.value, color=_colour(index), label=label)
+        for frames, value, low, high, seeds in zip(
+            *(getattr(of_seeds, name) for name in ("frames", "value", "low", "high", "seeds")),
+            strict=True,
+        ):
+            interval = "" if np.isnan(low) else f" [{low:.3g}, {high:.3g}]"  # one seed has none
+            numbers.append([label, f"{frames:,.0f}", f"{value:.3g}{interval}", str(seeds)])
     if len(numbers) == 1:
         return None
     axes.set_xlabel("frames")
