@@ -22,7 +22,7 @@ from marl_clean.env.transform import WorldTransform
 from marl_clean.observation import compass
 from marl_clean.storage.checkpoint import Checkpoints
 from marl_clean.trainer.base import TrainingLoop
-from marl_clean.world import distance, potential, step
+from marl_clean.world import distance, floods, potential, step
 from marl_clean.world.dynamics import MOVES, moves_on
 from marl_clean.world.state import State
 
@@ -38,7 +38,7 @@ ANY_HOUSE = [
     "trainer.imitate=null",  # whoever plans may wait
 ]
 STEPS = 256 // 8
-WAITS = {"distance.py", "transformed.py"}  # in a step: docs/speed.md says why
+WAITS = {"floods.py", "transformed.py"}  # in a step: docs/speed.md says why
 PACKAGE = Path(marl_clean.__file__).parent
 READS = ("_local_scalar_dense", "nonzero", "masked_select", "lift_fresh", "equal")
 
@@ -113,7 +113,7 @@ def test_a_step_waits_for_what_is_named_alone(tmp_path: Path) -> None:
         finally:
             torch.cuda.set_sync_debug_mode("default")
     waits = Counter(
-        Path(each.filename).name for each in caught if "synchronizing" in str(each.message)
+        Path(each.filename).name for each in caught if "called a synchronizing" in str(each.message)
     )
     assert set(waits) == WAITS and waits["transformed.py"] == STEPS
 
@@ -139,8 +139,8 @@ class Reads(TorchDispatchMode):
 def take_the_path_of_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """Search by floods, see by tensors, and look at no action."""
     for module in (potential, compass):
-        monkeypatch.setattr(module, "walking_distance", distance.flood)
-    monkeypatch.setattr(compass, "first_steps", distance.flood_first_steps)
+        monkeypatch.setattr(module, "walking_distance", floods.flood)
+    monkeypatch.setattr(compass, "first_steps", floods.flood_first_steps)
     monkeypatch.setattr(compass.Compass, "by_machine_code", compass.Compass.by_tensors)
     monkeypatch.setattr(potential, "by_machine_code", potential.by_tensors)
     monkeypatch.setattr(cleaning, "check_actions", lambda action: None)

@@ -4,16 +4,13 @@ On a CPU a search is machine code that visits a cell once; elsewhere a flood, wh
 over all cells of all grids at once. Both give the same numbers.
 """
 
-from itertools import count
-
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
 from marl_clean.world import searches
+from marl_clean.world.floods import flood, flood_first_steps
 from marl_clean.world.searches import UNREACHABLE
-
-STEPS_BETWEEN_LOOKS = 16  # of a flood: the host waits to learn whether it continues, on a GPU
 
 
 def neighbours(matrix: Tensor, outside: bool | int) -> Tensor:
@@ -69,63 +66,6 @@ def first_steps(
     arrays = (each.contiguous().numpy() for each in (passable, goals, start, others, rivals))
     ways, lengths = searches.first_steps(*arrays)
     return torch.from_numpy(ways), torch.from_numpy(lengths)
-
-
-def flood(
-    passable: Bool[Tensor, "*batch height width"], sources: Bool[Tensor, "*batch height width"]
-) -> Int[Tensor, "*batch height width"]:
-    """Return what `walking_distance` does, by tensor steps on any device."""
-    distance = torch.where(sources, 0, UNREACHABLE).to(torch.int32)
-    wave = sources
-    unreached = passable & ~sources
-    for steps in count(1):
-        wave = neighbours(wave, False).any(0) & unreached
-        unreached = unreached & ~wave
-        distance = torch.where(wave, steps, distance)
-        if steps % STEPS_BETWEEN_LOOKS == 0 and not wave.any():
-            break
-    return distance
-
-
-def flood_first_steps(
-    passable: Bool[Tensor, "env map height width"],
-    goals: Bool[Tensor, "env map height width"],
-    start: Int[Tensor, "env agent"],
-    others: Int[Tensor, "env agent"],
-    rivals: Bool[Tensor, "env agent agent"],
-) -> tuple[Bool[Tensor, "env agent 4"], Int[Tensor, "env agent"]]:
-    """Return what `first_steps` does, by tensor steps on any device."""
-    height, width = passable.shape[-2:]
-
-    def marked(cell: Int[Tensor, "env agent"]) -> Bool[Tensor, "env agent cell"]:
-        place = torch.zeros((*cell.shape, height * width), dtype=torch.bool, device=cell.device)
-        return place.scatter(2, cell[..., None], True)
-
-    own = marked(start)
-    of_rivals = (rivals.float() @ marked(others).float()) > 0
-    wave = (own | of_rivals).unflatten(-1, (height, width))
-    own = own.unflatten(-1, (height, width))
-    # Which of a robot's first steps its wave came by, [4, env, agent, height, width]. A cell whose
-    # lower neighbour is the start was entered by a step up, and so on.
-    by_step = neighbours(own, False).roll(2, 0)
-    open_cells, reached = passable | goals, wave
-    ways = torch.zeros((*start.shape, 4), dtype=torch.bool, device=start.device)
-    lengths = torch.full(start.shape, UNREACHABLE, dtype=torch.int32, device=start.device)
-    for steps in count(1):
-        onward = wave if steps == 1 else wave & passable
-        fresh = neighbours(onward, False).any(0) & open_cells & ~reached
-        came_by = by_step if steps == 1 else neighbours(by_step & passable, False).any(0)
-        by_step = came_by & fresh
-        reached, wave = reached | fresh, fresh
-        at_goal = (by_step & goals).flatten(3).any(-1).movedim(0, -1)
-        first = at_goal.any(-1) & (lengths == UNREACHABLE)
-        ways |= at_goal & first[..., None]
-        lengths = torch.where(first, steps, lengths)
-        if steps % STEPS_BETWEEN_LOOKS:
-            continue
-        if not (wave.flatten(2).any(-1) & (lengths == UNREACHABLE)).any():
-            break
-    return ways, lengths
 
 
 def is_connected(free: Bool[Tensor, "*batch height width"]) -> Bool[Tensor, "*batch"]:

@@ -1,6 +1,6 @@
 """Breadth-first searches as machine code, for a CPU: a cell is visited once, not at every step.
 
-The floods of `distance` give the same numbers on any device; tests compare the two.
+The floods of `floods` give the same numbers on any device; tests compare the two.
 """
 
 import math

@@ -12,11 +12,10 @@ from torch import Tensor
 from marl_clean.world.distance import (
     UNREACHABLE,
     first_steps,
-    flood,
-    flood_first_steps,
     is_connected,
     walking_distance,
 )
+from marl_clean.world.floods import CELLS, flood, flood_first_steps
 from tests.reference import Place, neighbour, neighbours
 
 SIDES = st.integers(1, 7)
@@ -57,6 +56,22 @@ def test_walking_distances(rows: int, cols: int, seed: int) -> None:
         for row in range(rows):
             for col in range(cols):
                 assert int(steps[grid, row, col]) == plain.get((row, col), UNREACHABLE)
+
+
+@pytest.mark.parametrize("cols", [CELLS - 1, CELLS, CELLS + 1, 2 * CELLS + 3])
+def test_floods_of_rows_of_more_than_one_word(cols: int) -> None:
+    generator = torch.Generator().manual_seed(cols)
+    passable = torch.rand((2, 2, 6, cols), generator=generator) > 0.15
+    goals = torch.rand(passable.shape, generator=generator) > 0.99
+    assert torch.equal(walking_distance(passable, goals), flood(passable, goals))
+    start, others = torch.randint(0, 6 * cols, (2, 2, 2), generator=generator)
+    rivals = torch.tensor([[[False, True], [True, False]], [[False, False], [False, False]]])
+    searched = first_steps(passable, goals, start, others, rivals)
+    assert (searched[1] < UNREACHABLE).any()
+    for fast, plain in zip(
+        searched, flood_first_steps(passable, goals, start, others, rivals), strict=True
+    ):
+        assert torch.equal(fast, plain)
 
 
 @given(
