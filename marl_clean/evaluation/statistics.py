@@ -7,9 +7,10 @@ are in aggregates.py, with intervals from resampling.py.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int, UInt
 from scipy.stats import t as student
 
 from marl_clean.errors import BadInput
@@ -32,32 +33,54 @@ def estimate(values: Float[np.ndarray, "run house"], draws: int = DRAWS) -> Esti
     """The mean over runs of the mean over houses, with its percentile bootstrap interval."""
     if not np.isfinite(values).any():
         return Estimate(None, None)
-    means = bootstrap_means(values, np.random.default_rng(SEED), draws)
+    means = bootstrap_means(values, draws=draws)
     tail = (100 - LEVEL) / 2
     low, high = np.nanpercentile(means, [tail, 100 - tail])
     return Estimate(float(_mean_of_runs(values)), (float(low), float(high)))
 
 
 def bootstrap_means(
-    values: Float[np.ndarray, "run house"], rng: np.random.Generator, draws: int
+    values: Float[np.ndarray, "run house"], seed: int = SEED, draws: int = DRAWS
 ) -> Float[np.ndarray, " draw"]:
     """The mean of each resample: runs with replacement, then houses within each drawn run.
 
-    With a single run only the houses are resampled.
+    With a single run only the houses are resampled. Samples of the same shape are resampled alike.
     """
     runs, houses = values.shape
-    drawn_runs = rng.integers(runs, size=(draws, runs))
-    total, counted = np.zeros(draws), np.zeros(draws)
+    run, times = _resamples(seed, draws, runs, houses)
+    known = np.isfinite(values)
+    table = np.where(known, values, 0.0).T
+    if not known.all():
+        table = np.concatenate([table, known.T.astype(np.float64)], axis=1)
+    sums = np.empty((len(run), table.shape[1]))
+    rows = max(1, _BLOCK // houses)
+    for start in range(0, len(run), rows):
+        block = slice(start, start + rows)
+        sums[block] = times[block].astype(np.float64) @ table
+    own = np.arange(len(run))
+    total, count = sums[own, run], houses if known.all() else sums[own, runs + run]
+    means = (total / np.maximum(count, 1)).reshape(draws, runs)
+    counted = np.broadcast_to(count, total.shape).reshape(draws, runs) > 0
+    number = counted.sum(1)
+    return np.divide(means.sum(1), number, out=np.full(draws, np.nan), where=number > 0)
+
+
+@lru_cache(maxsize=2)  # a table asks for a few dozen measures of the same runs and houses
+def _resamples(
+    seed: int, draws: int, runs: int, houses: int
+) -> tuple[Int[np.ndarray, " row"], UInt[np.ndarray, "row house"]]:
+    """Which run stands at each place of each draw, row by row, and how often each of its houses."""
+    rng = np.random.default_rng(seed)
+    run = rng.integers(runs, size=(draws, runs))
+    times = np.empty((draws, runs, houses), np.uint16)
     rows = max(1, _BLOCK // houses)
     for place in range(runs):
         for start in range(0, draws, rows):
-            block = slice(start, min(start + rows, draws))
-            run = drawn_runs[block, place]
-            drawn_houses = rng.integers(houses, size=(len(run), houses))
-            mean, exists = _row_means(values[run[:, None], drawn_houses])
-            total[block] += mean
-            counted[block] += exists
-    return np.divide(total, counted, out=np.full(draws, np.nan), where=counted > 0)
+            drawn = rng.integers(houses, size=(min(rows, draws - start), houses))
+            drawn += houses * np.arange(len(drawn))[:, None]
+            counts = np.bincount(drawn.ravel(), minlength=drawn.size)
+            times[start : start + rows, place] = counts.reshape(drawn.shape)
+    return run.ravel(), times.reshape(-1, houses)
 
 
 def paired_difference(
