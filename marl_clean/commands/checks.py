@@ -135,6 +135,10 @@ def check_imitate(config: DictConfig) -> None:
         )
 
 
+EXTRA_LOGGERS = {"wandb", "mlflow"}
+"""Loggers whose package is an extra of the same name."""
+
+
 def check_optimum(config: DictConfig) -> None:
     """Raises BadInput when the proven optimum is asked for and OR-tools is not installed."""
     if config.evaluation.get("optimum", False) and find_spec("ortools") is None:
@@ -142,6 +146,16 @@ def check_optimum(config: DictConfig) -> None:
             "evaluation.optimum=true: needs OR-tools; pip install 'marl-clean[optimum]', or leave "
             "it out"
         )
+
+
+def check_loggers(config: DictConfig) -> None:
+    """Raises BadInput when a logger is chosen whose package is not installed."""
+    for level in EXTRA_LOGGERS.intersection(config.logger or ()):
+        if find_spec(level) is None:
+            raise BadInput(
+                f"logger={level}: {level} is not installed; pip install 'marl-clean[{level}]',"
+                " or leave it out"
+            )
 
 
 def check_out(path: Path) -> None:
@@ -241,5 +255,6 @@ OF_TRAINING = [
     check_teams,
     check_old_houses,
     check_run_folder,
+    check_loggers,
 ]
 OF_THE_MACHINE = [check_compile, check_device]

@@ -1,0 +1,97 @@
+"""What Weights & Biases and MLflow hold after a run, read by their own means."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from marl_clean import BadInput, cli
+from marl_clean.commands import checks
+from marl_clean.config.compose import compose_config
+
+BLOCK = 2**15
+RUN = (
+    "train +experiment=quick name=run trainer.total_frames=256 trainer.eval_interval_frames=256"
+    " trainer.log_interval_frames=128 trainer.start_frames=64 evaluation.houses=2"
+    " evaluation.plans=[] train_houses=8"
+)
+
+
+def trained(folder: Path, monkeypatch: pytest.MonkeyPatch, logger: str) -> Path:
+    monkeypatch.chdir(folder)
+    assert cli.main([*RUN.split(), f"logger=[csv,{logger}]"]) == 0
+    return folder / "runs" / "run"
+
+
+def rows(run: Path) -> dict[int, dict[str, str]]:
+    header, *lines = (run / "metrics.csv").read_text().splitlines()
+    cells = (dict(zip(header.split(","), line.split(","), strict=True)) for line in lines)
+    return {int(row.pop("frames")): row for row in cells}
+
+
+def records_of(path: Path) -> Iterator[bytes]:
+    """Read a log in LevelDB's format, as wandb writes it behind 7 bytes of its own."""
+    data, place, record = path.read_bytes(), 7, b""
+    while place < len(data):
+        left = BLOCK - place % BLOCK
+        if left < 7:  # no header fits into the rest of a block
+            place += left
+            continue
+        size, kind = int.from_bytes(data[place + 4 : place + 6], "little"), data[place + 6]
+        record += data[place + 7 : place + 7 + size]
+        place += 7 + size
+        if kind in (1, 4):  # whole, or the last part
+            yield record
+            record = b""
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the packages' own dependencies
+def test_mlflow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mlflow = pytest.importorskip("mlflow")
+    run = trained(tmp_path, monkeypatch, "mlflow")
+    client = mlflow.MlflowClient(tracking_uri=f"sqlite:///{run / 'mlflow.db'}")
+    experiment = client.get_experiment_by_name("marl_clean")
+    (stored,) = client.search_runs([experiment.experiment_id])
+    assert stored.info.run_name == "run" and stored.info.status == "FINISHED"
+    assert stored.data.params["env.n_agents"] == "2"
+    assert stored.data.params["agent.gamma"]
+    for frames, row in rows(run).items():
+        for name in (name for name, value in row.items() if value):
+            history = client.get_metric_history(stored.info.run_id, name)
+            values = {point.step: point.value for point in history}
+            assert values[frames] == pytest.approx(float(row[name])), name
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the packages' own dependencies
+def test_wandb_without_a_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("wandb")
+    from wandb.proto import wandb_internal_pb2
+
+    run = trained(tmp_path, monkeypatch, "wandb")
+    (path,) = (run / "wandb").glob("offline-run-*/*.wandb")
+    logged: dict[int, dict[str, Any]] = {}
+    settings: set[str] = set()
+    for data in records_of(path):
+        record = wandb_internal_pb2.Record()
+        record.ParseFromString(data)
+        if record.HasField("history"):
+            row = {item.key or item.nested_key[0]: item.value_json for item in record.history.item}
+            logged.setdefault(int(row["_step"]), {}).update(row)
+        for update in (*record.run.config.update, *record.config.update):
+            settings.add(update.key or update.nested_key[0])
+    assert {"env", "agent", "comm"} <= settings
+    for frames, expected in rows(run).items():
+        for name in (name for name, value in expected.items() if value):
+            assert float(logged[frames][name]) == pytest.approx(float(expected[name])), name
+
+
+@pytest.mark.parametrize("level", ["wandb", "mlflow"])
+def test_a_tracker_that_is_not_installed_is_one_line(
+    level: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checks, "find_spec", lambda name: None if name == level else True)
+    with pytest.raises(BadInput, match=f"logger={level}: {level} is not installed; pip install"):
+        checks.check_loggers(compose_config([f"logger=[csv,{level}]"]))
