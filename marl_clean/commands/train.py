@@ -21,7 +21,7 @@ from marl_clean.evaluation.evaluator import (
     measure_planner,
     validate,
 )
-from marl_clean.evaluation.records import MEASURED, Entry, read_entries, write_entries
+from marl_clean.evaluation.records import MEASURED, Entry, Torn, read_entries, write_entries
 from marl_clean.evaluation.table import make_table, output
 from marl_clean.report.curve import draw_curve
 from marl_clean.report.recorded import REPLAY
@@ -30,6 +30,8 @@ from marl_clean.report.replay import make_replay
 from marl_clean.storage import files
 from marl_clean.storage.lock import locked
 from marl_clean.trainer._outcome import Outcome
+
+log = logging.getLogger(__name__)
 
 
 def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[Entry]:
@@ -52,9 +54,8 @@ def _main(cfg: DictConfig, folder: Path, console: Console) -> list[Entry]:
     outcome = train(cfg, folder)
     if outcome.was_finished:
         console.print(f"{folder} is finished: {outcome.frames:,} frames", soft_wrap=True)
-    if outcome.was_finished and (folder / MEASURED).is_file():
-        entries = read_entries(folder / MEASURED)
-    else:
+    entries = measured_before(folder) if outcome.was_finished else None
+    if entries is None:
         entries = measure_all(cfg, folder)
         write_entries(folder / MEASURED, entries)
     draw(cfg, folder)
@@ -92,6 +93,17 @@ def train(cfg: DictConfig, folder: Path) -> Outcome:
         folder,
         start_is_candidate=cfg.checkpoint is not None,
     )
+
+
+def measured_before(folder: Path) -> list[Entry] | None:
+    """What a finished run's evaluation.json holds; None where it is to be measured (again)."""
+    if not (folder / MEASURED).is_file():
+        return None
+    try:
+        return read_entries(folder / MEASURED)
+    except Torn as error:
+        log.warning("%s; measured again", error)
+        return None
 
 
 def measure_all(cfg: DictConfig, folder: Path) -> list[Entry]:

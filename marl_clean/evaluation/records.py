@@ -151,27 +151,31 @@ def write_entries(path: Path, entries: Sequence[Entry]) -> None:
         raise BadInput(f"{path}: cannot be written: {error.strerror}") from error
 
 
+class Torn(BadInput):
+    """A file that is there and is not whole: not what this version or any other wrote."""
+
+
 def read_entries(path: Path) -> list[Entry]:
     """The entries of an evaluation.json, which need not be trusted.
 
-    Raises BadInput when it is not an evaluation.json, has another version, or lacks what tables
-    and comparisons need.
+    Raises Torn when it is not an evaluation.json or lacks what tables and comparisons need, and
+    another BadInput when it cannot be read or has another version.
     """
     try:
         entries = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        raise BadInput(f"{path}: is not JSON; an evaluation.json is valid") from error
+        raise Torn(f"{path}: is not JSON; an evaluation.json is valid") from error
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise BadInput(f"{path}: is not a list of entries; an evaluation.json is valid")
+        raise Torn(f"{path}: is not a list of entries; an evaluation.json is valid")
     for number, entry in enumerate(entries):
         if entry.get("schema") != SCHEMA:
             raise BadInput(f"{path}: schema {entry.get('schema')}, only {SCHEMA} is valid")
         if entry.get("world") not in (WORLD, None):  # an external task has no version
             raise BadInput(f"{path}: world version {entry['world']}, only {WORLD} is valid")
         if (fault := _fault(entry)) is not None:
-            raise BadInput(f"{path}: entry {number}: {fault}; an evaluation.json is valid")
+            raise Torn(f"{path}: entry {number}: {fault}; an evaluation.json is valid")
     return entries
 
 
