@@ -135,10 +135,6 @@ def check_imitate(config: DictConfig) -> None:
         )
 
 
-EXTRA_LOGGERS = {"wandb", "mlflow"}
-"""Loggers whose package is an extra of the same name."""
-
-
 def check_optimum(config: DictConfig) -> None:
     """Raises BadInput when the proven optimum is asked for and OR-tools is not installed."""
     if config.evaluation.get("optimum", False) and find_spec("ortools") is None:
@@ -148,10 +144,14 @@ def check_optimum(config: DictConfig) -> None:
         )
 
 
+EXTRA_LOGGERS = ("wandb", "mlflow")
+"""Loggers whose package is an extra of the same name."""
+
+
 def check_loggers(config: DictConfig) -> None:
     """Raises BadInput when a logger is chosen whose package is not installed."""
-    for level in EXTRA_LOGGERS.intersection(config.logger or ()):
-        if find_spec(level) is None:
+    for level in EXTRA_LOGGERS:
+        if level in (config.logger or ()) and find_spec(level) is None:
             raise BadInput(
                 f"logger={level}: {level} is not installed; pip install 'marl-clean[{level}]',"
                 " or leave it out"

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from marl_clean.config import levels
+from marl_clean.config.compose import leaves
 
 Config = Mapping[str, Any]
 
@@ -33,10 +34,10 @@ def settings_apart(configs: Sequence[Config], without: Sequence[str]) -> list[di
             for settings, level in zip(differing, levels, strict=True):
                 settings[room] = str(level)
             continue
-        leaves = [dict(leaves_of(section, room)) for section in sections]
-        for key in dict.fromkeys(key for values in leaves for key in values):
-            if len({str(values.get(key)) for values in leaves}) > 1:
-                for settings, values in zip(differing, leaves, strict=True):
+        values_of = [dict(leaves({room: section})) for section in sections]
+        for key in dict.fromkeys(key for values in values_of for key in values):
+            if len({str(values.get(key)) for values in values_of}) > 1:
+                for settings, values in zip(differing, values_of, strict=True):
                     settings[key] = str(values.get(key))
     return differing
 
@@ -49,10 +50,3 @@ def level_of(section: Any) -> str | None:
         return levels.level_of(str(section["_target_"]))
     names = [str(name) for name, inner in section.items() if level_of(inner) is not None]
     return "+".join(names) or None
-
-
-def leaves_of(section: Any, key: str) -> list[tuple[str, Any]]:
-    """Every value in a section under its dotted key."""
-    if not isinstance(section, Mapping):
-        return [(key, section)]
-    return [leaf for name, inner in section.items() for leaf in leaves_of(inner, f"{key}.{name}")]

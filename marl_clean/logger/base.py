@@ -4,10 +4,15 @@ import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
+
+from marl_clean.config.stored import CONFIG
+from marl_clean.storage.safe_yaml import load_yaml
 
 CLOCK = "time/"
 """Prefix of the metrics that depend on the clock, in which equal runs differ."""
@@ -29,6 +34,12 @@ class Logger(ABC):
     @abstractmethod
     def close(self) -> None:
         """Write everything to the disk."""
+
+
+def stored_settings(folder: Path) -> dict[str, Any]:
+    """The settings of the run in a folder, as plain data; none where it has no config."""
+    path = folder / CONFIG
+    return load_yaml(path) if path.is_file() else {}
 
 
 class Progress:

@@ -1,13 +1,13 @@
 """Curves and the config for MLflow, by TorchRL's logger."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, final
+from typing import final
 
-from omegaconf import DictConfig, ListConfig, OmegaConf
 from torchrl.record.loggers import MLFlowLogger
 
-from marl_clean.logger.base import Logger
+from marl_clean.config.compose import leaves
+from marl_clean.logger.base import Logger, stored_settings
 
 
 @final
@@ -35,9 +35,8 @@ class MlFlow(Logger):
 
         self.writer = MLFlowLogger(self.experiment, self.tracking_uri)
         mlflow.set_tag("mlflow.runName", self.folder.name)
-        config = self.folder / "config.yaml"
-        if config.is_file():
-            self.writer.log_hparams(dict(leaves(OmegaConf.load(config))))
+        # MLflow's parameters are flat.
+        self.writer.log_hparams(dict(leaves(stored_settings(self.folder))))
 
     def log(self, frames: int, values: Mapping[str, float]) -> None:
         assert self.writer is not None, "resume() opens the run"
@@ -48,12 +47,3 @@ class MlFlow(Logger):
             import mlflow
 
             mlflow.end_run()
-
-
-def leaves(config: DictConfig | ListConfig, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield every setting by its dotted key; MLflow's parameters are flat. Lists stay whole."""
-    for key, value in config.items() if isinstance(config, DictConfig) else ():
-        if isinstance(value, DictConfig):
-            yield from leaves(value, f"{prefix}{key!s}.")
-        else:
-            yield f"{prefix}{key!s}", value

@@ -1,20 +1,22 @@
 """Curves and the config for Weights & Biases, by TorchRL's logger."""
 
+import uuid
 from collections.abc import Mapping
 from pathlib import Path
 from typing import final
 
-from omegaconf import OmegaConf
 from torchrl.record.loggers import WandbLogger
 
-from marl_clean.logger.base import Logger
+from marl_clean.logger.base import Logger, stored_settings
+from marl_clean.storage import files
 
 
 @final
 class Wandb(Logger):
     """Write every value, clock times included, and the run's config, into `wandb` of its folder.
 
-    The run is called like its folder. A resumed one goes on under the same id.
+    The run is called like its folder. A resumed one goes on under the id of the first, which is
+    kept beside what wandb writes.
 
     Args:
         folder: the run's.
@@ -31,13 +33,11 @@ class Wandb(Logger):
             self.folder.name,
             offline=self.offline,
             save_dir=str(self.folder),
-            id=self.folder.name,
+            id=self._run_id(frames),
             project=self.project,
             settings={"silent": self.offline},  # what it prints names servers that are not asked
         )
-        config = self.folder / "config.yaml"
-        if config.is_file():
-            self.writer.log_hparams(OmegaConf.load(config))
+        self.writer.log_hparams(stored_settings(self.folder))
 
     def log(self, frames: int, values: Mapping[str, float]) -> None:
         assert self.writer is not None, "resume() opens the run"
@@ -46,3 +46,11 @@ class Wandb(Logger):
     def close(self) -> None:
         if self.writer is not None:
             self.writer.experiment.finish()
+
+    def _run_id(self, frames: int) -> str:
+        """The id of the run that is resumed, or a new one: a name alone may have been used."""
+        path = self.folder / "wandb" / "id.txt"
+        if not frames or not path.is_file():
+            path.parent.mkdir(exist_ok=True)
+            files.write_file(path, [uuid.uuid4().hex[:16].encode()])
+        return path.read_text(encoding="ascii")

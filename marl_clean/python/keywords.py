@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from marl_clean.commands.shorthand import with_floor_plans
-from marl_clean.config.compose import dotted_keys, unchecked
+from marl_clean.config.compose import dotted_keys, leaves, unchecked
 from marl_clean.config.levels import EXPERIMENT, SEVERAL, groups
 from marl_clean.config.locate import use_plugins
 from marl_clean.config.stored import find_run, load_config
@@ -89,16 +89,8 @@ def _known_keys(overrides: Sequence[str]) -> list[str]:
     known = dict.fromkeys(dotted_keys(composed))
     if composed.get(CHECKPOINT) is not None:
         known |= dict.fromkeys(dotted_keys(load_config(find_run(str(composed[CHECKPOINT])))))
-    follows = {key for key, value in _leaves(composed) if str(value).startswith("${")}
+    follows = {key for key, value in leaves(composed) if str(value).startswith("${")}
     return [key for key in known if key not in follows and not key.endswith("_target_")]
-
-
-def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in tree.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
 
 
 def _key_of(override: str) -> str:

@@ -88,6 +88,22 @@ def test_wandb_without_a_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
             assert float(logged[frames][name]) == pytest.approx(float(expected[name])), name
 
 
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_resumed_run_keeps_its_id_and_a_new_one_gets_another(tmp_path: Path) -> None:
+    pytest.importorskip("wandb")
+    from marl_clean.logger.wandb import Wandb
+
+    ids = []
+    for frames in (0, 128, 0):
+        logger = Wandb(tmp_path)
+        logger.resume(frames)
+        assert logger.writer is not None
+        ids.append(logger.writer.experiment.id)
+        logger.close()
+    assert ids[0] == ids[1] != ids[2]
+
+
 @pytest.mark.parametrize("level", ["wandb", "mlflow"])
 def test_a_tracker_that_is_not_installed_is_one_line(
     level: str, monkeypatch: pytest.MonkeyPatch
