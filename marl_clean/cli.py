@@ -144,9 +144,9 @@ def benchmark(arguments: argparse.Namespace) -> int:
 
     config = compose_config(arguments.settings)
     check_shows_houses(config)
-    config.env.compile = True
-    check_all(config)
     check_square_view(config, "benchmark")
+    config.env.compile = True  # after the settings: a machine that cannot compile hides no fault
+    check_all(config)
     from marl_clean.commands import benchmark as command
 
     command.main(config)
