@@ -8,6 +8,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import islice
 from typing import Any
 
 from hydra import compose as hydra_compose
@@ -18,7 +19,8 @@ from hydra._internal.utils import create_config_search_path
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import OverrideType
+from hydra.core.override_parser.types import Glob, IntervalSweep, OverrideType, RangeSweep, Sweep
+from hydra.core.override_parser.types import Override as Parsed
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobStatus
 from hydra.errors import HydraException
@@ -27,6 +29,7 @@ from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from marl_clean.config.levels import levels_in
 from marl_clean.config.locate import own, packages
 from marl_clean.config.schema import choices
 from marl_clean.errors import BadInput
@@ -34,6 +37,7 @@ from marl_clean.errors import BadInput
 VERSION_BASE = "1.3"
 CONFIG_NAME = "config"
 LAUNCHER = "hydra/launcher"
+MOST_VALUES = 100_000  # of one key of a sweep
 LAUNCHERS = {  # what to install for those that do not come with Hydra
     "joblib": "'marl-clean[sweep]'",
     "ray": "hydra-ray-launcher",
@@ -42,6 +46,15 @@ LAUNCHERS = {  # what to install for those that do not come with Hydra
     "submitit_local": "'marl-clean[slurm]'",
     "submitit_slurm": "'marl-clean[slurm]'",
 }
+
+
+@dataclass(frozen=True)
+class Span:
+    """Numbers from `low` to `high`: in steps, or all of them where `step` is None."""
+
+    low: float
+    high: float
+    step: float | None
 
 
 @dataclass(frozen=True)
@@ -54,6 +67,8 @@ class Override:
     is_sweep: bool
     values: tuple[str, ...]  # of a finite sweep, each as typed on the command line
     of_hydra: bool
+    span: Span | None = None  # of `range(...)` and `interval(...)`
+    tags: tuple[str, ...] = ()  # of a sweep, as in `tag(log, interval(1, 9))`
 
     @property
     def setting(self) -> str:
@@ -69,6 +84,10 @@ class Unoptimised(Exception):
     """Hydra reads functions such as `range(0,1)` only where Python runs its assertions."""
 
 
+class Endless(Exception):
+    """A range whose values cannot be listed: it has no end, no step, or too many of them."""
+
+
 class NotPlain(Exception):
     """A setting that adds, moves or deletes a key."""
 
@@ -78,7 +97,10 @@ class NotComposed(Exception):
 
 
 def parse(text: str) -> Override:
-    """Read a setting. Raises Unreadable, NotPlain or Unoptimised where it is not KEY=VALUE."""
+    """Read a setting.
+
+    Raises Unreadable, NotPlain, Endless or Unoptimised where it is not KEY=VALUE.
+    """
     try:
         [parsed] = OverridesParser.create().parse_overrides([text])
     except HydraException:
@@ -92,14 +114,43 @@ def parse(text: str) -> Override:
     if parsed.type is not OverrideType.CHANGE or parsed.package is not None:
         raise NotPlain(text)
     is_sweep = parsed.is_sweep_override()
+    value = parsed.value()
     return Override(
         key=parsed.key_or_group,
         text=text.partition("=")[2],
-        value=None if is_sweep else parsed.value(),
+        value=None if is_sweep else value,
         is_sweep=is_sweep,
-        values=tuple(parsed.sweep_string_iterator()) if parsed.is_discrete_sweep() else (),
+        values=_values_of(parsed) if parsed.is_discrete_sweep() else (),
         of_hydra=parsed.is_hydra_override(),
+        span=_span_of(value),
+        tags=tuple(sorted(value.tags)) if isinstance(value, Sweep) else (),
     )
+
+
+def _values_of(parsed: Parsed) -> tuple[str, ...]:
+    """The values of a finite sweep. Raises Endless where it is none."""
+    glob = parsed.value()
+    if isinstance(glob, Glob):
+        return tuple(glob.filter(levels_in(parsed.key_or_group)))
+    try:
+        values = tuple(islice(parsed.sweep_string_iterator(), MOST_VALUES + 1))
+    except (HydraException, ValueError, ArithmeticError):
+        raise Endless(parsed.input_line) from None
+    if len(values) > MOST_VALUES:
+        raise Endless(parsed.input_line)
+    return values
+
+
+def _span_of(value: Any) -> Span | None:
+    """The ends of a sweep over numbers, the lower first, the last value of a range included."""
+    if isinstance(value, IntervalSweep):
+        assert value.start is not None and value.end is not None
+        return Span(value.start, value.end, None)
+    if isinstance(value, RangeSweep):
+        numbers = list(islice(value.range(), MOST_VALUES))
+        step = abs(value.step)
+        return Span(min(numbers), max(numbers), step) if numbers else None
+    return None
 
 
 def compose(overrides: Sequence[Override]) -> DictConfig:

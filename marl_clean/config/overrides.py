@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 
 from marl_clean.config.hydra_adapter import (
+    MOST_VALUES,
+    Endless,
     NotPlain,
     Override,
     Unoptimised,
@@ -35,6 +37,9 @@ def parse_overrides(overrides: Sequence[str], allow_hydra: bool = False) -> list
                 f"{text!r}: Hydra cannot read functions where PYTHONOPTIMIZE or -O is set; unset "
                 "it, or write the values, such as seed=0,1"
             ) from None
+        except Endless:
+            valid = f"valid: an end, a step that is not 0, at most {MOST_VALUES} values"
+            raise BadInput(f"{text!r}: cannot be listed; {valid}") from None
         except NotPlain:
             reason = "keys are not added, moved or deleted; write KEY=VALUE"
             raise BadInput(f"{text!r}: {reason}") from None
