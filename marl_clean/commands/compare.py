@@ -24,7 +24,7 @@ from marl_clean.evaluation import marl_eval, tidy
 from marl_clean.evaluation.latex import to_latex
 from marl_clean.evaluation.measured import Measured
 from marl_clean.evaluation.paired import Row, differences, make_paired_table, unpaired_seeds
-from marl_clean.evaluation.records import Entry, summarise, write_entries
+from marl_clean.evaluation.records import MEASURES, Entry, summarise, write_entries
 from marl_clean.evaluation.row_statistics import make_statistics_table, row_statistics
 from marl_clean.evaluation.table import YARDSTICK, make_table, output
 from marl_clean.storage import files
@@ -141,10 +141,15 @@ def compared(runs: Sequence[str], against: str | None = None) -> list[WorldCompa
     return [comparison_of(key, world, against) for key, world in worlds.items()]
 
 
-def comparison_of(key: str, world: World, against: str | None = None) -> WorldComparison:
-    """One world's rows, compared with a reference. Raises BadInput where no row is `against`."""
+def comparison_of(
+    key: str, world: World, against: str | None = None, measures: Sequence[str] = MEASURES
+) -> WorldComparison:
+    """One world's rows, compared with a reference; `measures`: those of pooled entries.
+
+    Raises BadInput where no row is `against`.
+    """
     rows = rows_of(world)
-    pools = {row.label: pooled(list(row.runs.values()), row.label) for row in rows}
+    pools = {row.label: pooled(list(row.runs.values()), row.label, measures) for row in rows}
     entries = [*pools.values(), *world.planners.values()]
     entries.sort(key=lambda entry: entry["epsilon"] == 0)  # the planners last
     planner = world.planners.get(YARDSTICK)
@@ -183,7 +188,9 @@ def draw(world: WorldComparison, number: int, console: Console) -> None:
             console.print(f"written to {path}", soft_wrap=True)
 
 
-def pooled(entries: Sequence[Entry], label: str | None = None) -> Entry:
+def pooled(
+    entries: Sequence[Entry], label: str | None = None, measures: Sequence[str] = MEASURES
+) -> Entry:
     """One policy's entries, a run each on the same houses, as one; its name has their number."""
     first = entries[0]
     name = label or common_prefix([entry["policy"] for entry in entries])
@@ -195,7 +202,7 @@ def pooled(entries: Sequence[Entry], label: str | None = None) -> Entry:
         "policy": f"{name} ({len(entries)} seeds)",
         "runs": len(entries),
         "houses": [house for run in houses for house in run],
-        "summary": summarise(houses),
+        "summary": summarise(houses, measures),
     }
 
 

@@ -13,11 +13,11 @@ from marl_clean.config.stored import METRICS, RUNS
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.paired import cell_of
 from marl_clean.evaluation.paired import compared as compared_measures
-from marl_clean.evaluation.records import Entry
+from marl_clean.evaluation.records import SHOWN, SHOWN_EXTERNAL, Entry
 from marl_clean.evaluation.table import YARDSTICK, interval, output, row_of
 from marl_clean.report.curve import Series, read_metrics
 from marl_clean.report.html import Part, render
-from marl_clean.report.plots import Rows, Shown, curves, plots
+from marl_clean.report.plots import SHOWN_TIMES, Rows, Shown, curves, plots
 from marl_clean.report.recorded import REPLAY, Recording, read_recording
 from marl_clean.storage import files
 
@@ -26,6 +26,7 @@ NOTE = (
 )
 SETTINGS = "Only what sets the runs apart; seeds are pooled."
 STARS = "** p < 0.05 after Holm's correction, * before it"
+ON_PAGE = tuple(dict.fromkeys((*SHOWN, *SHOWN_TIMES, *SHOWN_EXTERNAL, "bits")))  # of seeds pooled
 LONGEST_NAME = 28  # characters of a row's label that a legend has room for
 log = logging.getLogger(__name__)
 
@@ -48,7 +49,7 @@ def main(
     if not worlds:
         raise BadInput(f"report: no finished run among {', '.join(runs)}; give folders of {RUNS}/")
     folders = folders_of(worlds.values())
-    comparisons = [comparison_of(key, world, against) for key, world in worlds.items()]
+    comparisons = [comparison_of(key, world, against, ON_PAGE) for key, world in worlds.items()]
     short, settings = names_of(worlds.values())
     parts = [] if settings is None else [Part("Settings", SETTINGS, [("Settings", settings)])]
     parts += [part_of(*pair, short) for pair in zip(worlds.values(), comparisons, strict=True)]

@@ -14,7 +14,6 @@ from jaxtyping import Float, Int
 from marl_clean.evaluation.aggregates import iqm
 from marl_clean.evaluation.resampling import (
     DRAWS,
-    SEED,
     Resampling,
     Statistic,
     percentiles,
@@ -59,10 +58,9 @@ def sample_efficiency(
     low = high = np.full(len(frames), np.nan)
     if len(runs) > 1:
         whole = np.arange(len(runs))[:, None]  # whole curves are drawn
-        rng = np.random.default_rng(SEED)
         drawn = [
             _over_seeds(values[block[..., 0]], statistic)
-            for block in resamples(whole, Resampling.RUNS_AND_HOUSES, rng, draws)
+            for block in resamples(whole, Resampling.RUNS_AND_HOUSES, draws)
         ]
         ends = np.concatenate(drawn)
         known = ~np.isnan(ends).all(0)

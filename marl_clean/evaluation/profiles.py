@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from marl_clean.evaluation.resampling import DRAWS, SEED, Resampling, percentiles, resamples
+from marl_clean.evaluation.resampling import DRAWS, Resampling, percentiles, resamples
 
 POINTS = 101  # of a grid, both ends included
 
@@ -45,8 +45,7 @@ def profile(
     if np.isnan(scores).all():
         return None
     passed = _passed(scores, taus)
-    rng = np.random.default_rng(SEED)
-    drawn = [_shares(block, len(taus)) for block in resamples(passed, how, rng, draws)]
+    drawn = [_shares(block, len(taus)) for block in resamples(passed, how, draws)]
     low, high = percentiles(np.concatenate(drawn))
     return Profile(taus, _shares(passed[None], len(taus))[0], low, high)
 

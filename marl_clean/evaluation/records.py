@@ -80,15 +80,17 @@ def make_entry(
     }
 
 
-def summarise(runs: Sequence[Sequence[House]]) -> dict[str, dict[str, Any]]:
-    """Mean and interquartile mean of every measure with intervals, and the share with a value.
+def summarise(
+    runs: Sequence[Sequence[House]], measures: Sequence[str] = MEASURES
+) -> dict[str, dict[str, Any]]:
+    """Mean and interquartile mean of each measure with intervals, and the share with a value.
 
     `runs` are one policy's records over the same houses, once for each training seed. A time
     that was not reached counts as the house's `max_steps` in mean, iqm and interval; `reached`
     is the share of houses that reached it. A measure without any value has nulls.
     """
     summary = {}
-    for measure in MEASURES:
+    for measure in measures:
         if any(measure not in run[0] for run in runs):
             continue  # measured on demand, or newer than the file
         values = sample(runs, measure)

@@ -20,6 +20,7 @@ interval is of these weights only.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -60,8 +61,7 @@ def interval(
     """
     if not np.isfinite(values).any():
         return Interval(None, None)
-    rng = np.random.default_rng(SEED)
-    drawn = np.concatenate([statistic(block) for block in resamples(values, how, rng, draws)])
+    drawn = np.concatenate([statistic(block) for block in resamples(values, how, draws)])
     low, high = percentiles(drawn)
     return Interval(float(statistic(values)), (float(low), float(high)))
 
@@ -78,13 +78,34 @@ def percentiles(
 
 
 def resamples(
-    values: Shaped[np.ndarray, "run house"], how: Resampling, rng: np.random.Generator, draws: int
+    values: Shaped[np.ndarray, "run house"], how: Resampling, draws: int = DRAWS
 ) -> Iterator[Shaped[np.ndarray, "draw run house"]]:
-    """`draws` resamples of the matrix, in blocks that bound the memory."""
+    """`draws` resamples of the matrix, in blocks that bound the memory.
+
+    Matrices of the same shape are resampled alike.
+    """
     runs, houses = values.shape
-    for count in blocks(draws, values.size):
+    few = draws * values.size <= _BLOCK
+    drawn = _drawn_once(how, runs, houses, draws) if few else _drawn(how, runs, houses, draws)
+    for places in drawn:
+        yield values.take(places)
+
+
+@lru_cache(maxsize=4)  # a table asks for a few dozen intervals of the same runs and houses
+def _drawn_once(
+    how: Resampling, runs: int, houses: int, draws: int
+) -> list[Int[np.ndarray, "draw run house"]]:
+    return list(_drawn(how, runs, houses, draws))
+
+
+def _drawn(
+    how: Resampling, runs: int, houses: int, draws: int
+) -> Iterator[Int[np.ndarray, "draw run house"]]:
+    """Which value stands at each place of each draw, values counted row by row."""
+    rng = np.random.default_rng(SEED)
+    for count in blocks(draws, runs * houses):
         run = draw_runs(how, rng, (count, runs, houses))
-        yield values[run, draw_houses(how, rng, count, houses)]
+        yield houses * run + draw_houses(how, rng, count, houses)
 
 
 def blocks(draws: int, size: int) -> Iterator[int]:
