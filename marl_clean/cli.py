@@ -231,10 +231,11 @@ def _run(argv: Sequence[str]) -> int:
         from marl_clean.config.schema import choices
 
         raise BadInput(f"{name}: no such command; {choices(name, COMMANDS)}")
+    from marl_clean.commands.command_line import issued
     from marl_clean.config.locate import plugins_in_use
 
     early, _ = plugin_option().parse_known_args(argv[1:])
-    with plugins_in_use(early.plugin):
+    with plugins_in_use(early.plugin), issued(argv):
         shows_help = bool({"-h", "--help"}.intersection(argv))
         parser = parser_of(name, COMMANDS[name].__doc__ or "", shows_help)
         arguments = parser.parse_intermixed_args(argv[1:])

@@ -13,6 +13,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from marl_clean.commands.checks import check_all
+from marl_clean.commands.command_line import issued
 from marl_clean.commands.run_info import FAILED, LOG, is_finished
 from marl_clean.config.hydra_adapter import settings_of_job
 from marl_clean.config.locate import use_plugins
@@ -37,7 +38,7 @@ def train_job(composed: DictConfig, plugins: Sequence[str] = (), driver: int = 0
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / LOG).open("a", encoding="utf-8", buffering=1) as log:
         begins = log.tell()
-        with redirect_stdout(log), redirect_stderr(log):
+        with redirect_stdout(log), redirect_stderr(log), issued(["train", *settings]):
             try:
                 _train(settings, folder, plugins)
             except Held as error:

@@ -20,6 +20,7 @@ from marl_clean.errors import BadInput
 from marl_clean.house.base import check_largest, draw_houses, split_seeds
 from marl_clean.house.floorplan import FloorPlan
 from marl_clean.house.rooms import Rooms
+from marl_clean.settings import Form
 from marl_clean.trainer._frames import check_frames
 
 
@@ -100,7 +101,8 @@ def _check_sees(config: DictConfig, rows: int, cols: int) -> None:
 
 def check_square_view(config: DictConfig, what: str) -> None:
     """Raises BadInput when robots do not see a square around themselves, which `what` shows."""
-    if "view_size" not in config.observation:
+    gives = constant(config.observation._target_, "gives")
+    if gives is not Form.SQUARES or "view_size" not in config.observation:
         level = level_of(config.observation._target_)
         raise BadInput(f"observation={level}: {what} needs a square around the robot, as of crop")
 

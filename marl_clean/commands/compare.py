@@ -9,6 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
+from marl_clean.commands.command_line import command_line
 from marl_clean.commands.gathering import (
     World,
     common_prefix,
@@ -171,6 +172,7 @@ def draw(world: WorldComparison, number: int, console: Console) -> None:
     """Draw one world's figures: means and differences, profiles, probabilities of improvement."""
     from marl_clean.report.axes import save_figure
     from marl_clean.report.comparison import draw_comparison
+    from marl_clean.report.origin import Origin
     from marl_clean.report.profiles import draw_improvement, draw_profiles
 
     first = next(iter(world.pools.values()))
@@ -182,9 +184,11 @@ def draw(world: WorldComparison, number: int, console: Console) -> None:
     }
     if world.reference is not None:
         figures["compare_improvement"] = draw_improvement(title, world.statistics)
+    hashes = [item.entry["config_hash"] for item in world.measured]
+    origin = Origin(command_line(), hashes)
     for name, figure in figures.items():
         stem = name if number == 1 else f"{name}_{number}"
-        for path in save_figure(figure, RUNS / "figures" / stem):
+        for path in save_figure(figure, RUNS / "figures" / stem, origin):
             console.print(f"written to {path}", soft_wrap=True)
 
 

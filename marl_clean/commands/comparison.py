@@ -12,8 +12,10 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from marl_clean.commands.checks import check_all
+from marl_clean.commands.command_line import command_line
 from marl_clean.commands.sweep import sweep_jobs
 from marl_clean.config.compose import compose_parsed
+from marl_clean.config.config_hash import config_hash
 from marl_clean.config.levels import BUDGET, EXPERIMENT
 from marl_clean.config.overrides import parse_overrides
 from marl_clean.config.stored import RUNS
@@ -165,6 +167,7 @@ def main(name: str, settings: Sequence[str], console: Console | None = None) -> 
     from marl_clean.evaluation.table import make_table, output
     from marl_clean.report.axes import save_figure
     from marl_clean.report.comparison import draw_comparison
+    from marl_clean.report.origin import Origin
 
     console = console or output()
     runs: dict[str, list[list[Entry]]] = {label: [] for label in jobs}
@@ -189,7 +192,9 @@ def main(name: str, settings: Sequence[str], console: Console | None = None) -> 
         console.print(make_table([*(learned for learned, _ in rows.values()), planner]))
     first = next(iter(jobs.values()))
     title = f"{COMPARISONS[name].question}\n{budget_line(settings, first)}"
-    paths = save_figure(draw_comparison(title, tables[0]), RUNS / "figures" / name)
+    hashes = [config_hash(config) for configs in jobs.values() for config in configs]
+    origin = Origin(command_line(), hashes)
+    paths = save_figure(draw_comparison(title, tables[0]), RUNS / "figures" / name, origin)
     table = RUNS / "figures" / f"{name}.json"
     write_entries(table, [entry for rows in tables for pair in rows.values() for entry in pair])
     for path in (*paths, table):

@@ -6,7 +6,9 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from marl_clean.commands.checks import check_square_view
+from marl_clean.commands.command_line import command_line
 from marl_clean.commands.comparison import COMPARISONS
+from marl_clean.config.config_hash import config_hash
 from marl_clean.config.schema import choices
 from marl_clean.config.stored import RUNS
 from marl_clean.errors import BadInput
@@ -27,9 +29,11 @@ def main(name: str, cfg: DictConfig, console: Console | None = None) -> list[Pat
     from marl_clean.commands._plan_lines import write_plan_lines
     from marl_clean.report.axes import save_figure
     from marl_clean.report.figures import draw_figure
+    from marl_clean.report.origin import Origin
 
     write_plan_lines(cfg)
-    paths = save_figure(draw_figure(name, cfg), RUNS / "figures" / name)
+    origin = Origin(command_line(), [config_hash(cfg)])
+    paths = save_figure(draw_figure(name, cfg), RUNS / "figures" / name, origin)
     for path in paths:
         (console or Console()).print(f"written to {path}", soft_wrap=True)
     return paths

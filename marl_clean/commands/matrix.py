@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from marl_clean.commands.checks import check_all
+from marl_clean.commands.command_line import command_line
 from marl_clean.commands.labels import labels
 from marl_clean.config.compose import checked, compose_config
 from marl_clean.config.config_hash import OUTSIDE_THE_HASH
@@ -63,9 +64,11 @@ def main(
     from marl_clean.evaluation.records import write_entries
     from marl_clean.report.axes import save_figure
     from marl_clean.report.matrix import draw_matrix
+    from marl_clean.report.origin import Origin
 
     console = console or output()
     cells: dict[tuple[str, str], Entry] = {}
+    hashes = []
     for label, trained in groups.items():
         for name, section in tested.items():
             entries = []
@@ -75,9 +78,11 @@ def main(
                 epsilon = cfg.evaluation.epsilon
                 title = f"{label} | {name}"
                 entries.append(measure(cfg, partial(in_any_env, policy), title, epsilon=epsilon))
+            hashes += [entry["config_hash"] for entry in entries]
             cells[label, name] = pooled(entries, f"{label} | {name}")
     console.print(make_matrix(cells))
-    for path in save_figure(draw_matrix(cells), RUNS / "figures" / "matrix"):
+    origin = Origin(command_line(), hashes)
+    for path in save_figure(draw_matrix(cells), RUNS / "figures" / "matrix", origin):
         console.print(f"written to {path}", soft_wrap=True)
     if out is not None:
         write_entries(out, list(cells.values()))

@@ -10,7 +10,9 @@ from rich.console import Console
 
 from marl_clean import build
 from marl_clean.commands._plan_lines import write_plan_lines
+from marl_clean.commands.command_line import command_line
 from marl_clean.config.compose import compose_config, has_houses
+from marl_clean.config.config_hash import config_hash
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import CONFIG, METRICS, find_run, load_config
 from marl_clean.errors import BadInput
@@ -24,6 +26,7 @@ from marl_clean.evaluation.evaluator import (
 from marl_clean.evaluation.records import MEASURED, Entry, Torn, read_entries, write_entries
 from marl_clean.evaluation.table import make_table, output
 from marl_clean.report.curve import draw_curve
+from marl_clean.report.origin import Origin
 from marl_clean.report.recorded import REPLAY
 from marl_clean.report.recording import make_recording
 from marl_clean.report.replay import make_replay
@@ -184,7 +187,8 @@ def draw(cfg: DictConfig, folder: Path) -> None:
     """
     metrics, curve, replay = (folder / name for name in (METRICS, "curve.png", "replay.gif"))
     if metrics.is_file() and not curve.is_file():
-        draw_curve(metrics, curve, planner_means(cfg) if has_houses(cfg) else None)
+        origin = Origin(command_line(), [config_hash(cfg)])
+        draw_curve(metrics, curve, origin, planner_means(cfg) if has_houses(cfg) else None)
     recording = folder / REPLAY
     if has_houses(cfg) and not (replay.is_file() and recording.is_file()):
         policy = build.load_policy(folder).to(cfg.device)

@@ -10,7 +10,8 @@ from jaxtyping import UInt8
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from marl_clean.env.viewer import INK, PAGE, Colour, Place, robot_colour
+from marl_clean.env.viewer import INK, PAGE, ROBOTS, Colour, Place, robot_colour
+from marl_clean.report.origin import Origin
 
 STYLE: Any = {  # Matplotlib types its keys by a list of all of them
     "font.size": 9,
@@ -21,6 +22,13 @@ STYLE: Any = {  # Matplotlib types its keys by a list of all of them
     "svg.hashsalt": "marl-clean",  # the same figure gives the same file
 }
 
+# Lines of one figure differ in these too: in grey, colours of one lightness are one.
+LINES: tuple[Any, ...] = (
+    "-", "--", "-.", ":",
+    (0, (7, 3)), (0, (3, 1, 1, 1, 1, 1)), (0, (1, 4)), (0, (7, 2, 1, 2, 1, 2)),
+)  # fmt: skip
+LEGEND_LINE = 4  # font sizes: long enough to show the dashes
+MARKS = "os^Dv<>P"
 MOST_SQUARES = 20_000  # cells drawn one by one; more are an image in the figure
 
 
@@ -62,16 +70,32 @@ def unit(colour: Colour) -> tuple[float, float, float]:
     return red / 255, green / 255, blue / 255
 
 
+def row_style(index: int) -> dict[str, Any]:
+    """The colour and dashes of a row's line; those of the ninth row are the first's again."""
+    return {"color": row_colour(index), "linestyle": LINES[index % len(LINES)]}
+
+
+def row_colour(index: int) -> tuple[float, float, float]:
+    """A row's colour."""
+    return unit(ROBOTS[index % len(ROBOTS)])
+
+
+def row_mark(index: int) -> str:
+    """A row's mark, by which its points differ from those of other rows in grey too."""
+    return MARKS[index % len(MARKS)]
+
+
 def seeds_label(name: str, seeds: int) -> str:
     """A row's name with its number of seeds; a planner has none."""
     return name if seeds == 0 else f"{name} ({seeds} seed{'s' if seeds > 1 else ''})"
 
 
-def save_figure(figure: Figure, stem: Path) -> list[Path]:
-    """Write `stem`.svg and `stem`.png; the same figure gives the same bytes."""
+def save_figure(figure: Figure, stem: Path, origin: Origin) -> list[Path]:
+    """Write `stem`.svg and `stem`.png; the same figure and origin give the same bytes."""
     stem.parent.mkdir(parents=True, exist_ok=True)
     paths = [stem.with_name(f"{stem.name}.{kind}") for kind in ("svg", "png")]
     with matplotlib.rc_context(STYLE):
-        figure.savefig(paths[0], dpi=200, metadata={"Date": None})  # dpi of images in it alone
-        figure.savefig(paths[1], dpi=200)
+        undated = {"Date": None, **origin.metadata()}
+        figure.savefig(paths[0], dpi=200, metadata=undated)  # dpi of images in it alone
+        figure.savefig(paths[1], dpi=200, metadata=origin.metadata())
     return paths

@@ -15,6 +15,7 @@ from marl_clean.evaluation.table import YARDSTICK
 from marl_clean.report.axes import STYLE, new_figure, seeds_label, unit
 
 TIMES = ("T_90", "T_100")
+PANEL, CHARACTER = 2.35, 0.07  # inches: a panel as wide as its title, a letter of a row's name
 BELOW = 0.22  # of the distance between rows: where the dots of seeds stand
 
 Pair = tuple[Entry, Entry | None]  # the learned policy, and the planner in the same world
@@ -38,7 +39,9 @@ def draw_comparison(
         )
     with matplotlib.rc_context(STYLE):
         count = 1 + len(TIMES) * (2 if differences else 1)
-        figure = new_figure(9.0 if count == 3 else 13.0, 1.5 + 0.38 * len(rows))
+        names = [seeds_label(name, entry.get("runs", 1)) for name, (entry, _) in rows.items()]
+        width = PANEL * count + CHARACTER * max(map(len, names), default=0)
+        figure = new_figure(width, 1.5 + 0.38 * len(rows))
         figure.suptitle(title, fontsize=9, x=0.01, ha="left")
         panels = figure.subplots(1, count, sharey=True)
         _draw_finished(panels[0], rows)
@@ -46,7 +49,6 @@ def draw_comparison(
             _draw_measure(axes, rows, measure, relative)
         for axes, measure in zip(panels[1 + len(TIMES) :], TIMES, strict=False):
             _draw_differences(axes, list(rows), differences, measure)
-        names = [seeds_label(name, entry.get("runs", 1)) for name, (entry, _) in rows.items()]
         panels[0].set_yticks(range(len(rows)), names)
         panels[0].set_ylim(len(rows) - 0.5, -0.5)
         named = {

@@ -9,22 +9,26 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
-from marl_clean.env.viewer import INK, ROBOTS
+from marl_clean.env.viewer import INK
 from marl_clean.errors import BadInput
-from marl_clean.report.axes import STYLE, new_figure, unit
+from marl_clean.report.axes import STYLE, new_figure, row_style, unit
+from marl_clean.report.origin import Origin
 from marl_clean.storage import files
 
 FRAMES = "frames"
 FIRST = ("finished", "T_90", "T_100", "coverage", "return", "redundancy", "loss", "epsilon")
 RIVAL = "nearest_unknown"
 TRAINING = "training"  # where a column's name has no first part
-COLOURS = {TRAINING: ROBOTS[0], "validation": ROBOTS[1]}
+VALIDATION = "validation"
+RIVAL_DASHES = (0, (1, 2))
+LEGEND_INCHES = 0.25
 MOST_PANELS = 8
 PANELS_A_ROW = 4
 FEW = 40  # with at most so many points, each gets a mark
@@ -32,7 +36,9 @@ FEW = 40  # with at most so many points, each gets a mark
 Series = list[tuple[float, float]]  # (frames, value)
 
 
-def draw_curve(metrics: Path, path: Path, rival: Mapping[str, float] | None = None) -> None:
+def draw_curve(
+    metrics: Path, path: Path, origin: Origin, rival: Mapping[str, float] | None = None
+) -> None:
     """Draw `metrics` into the picture `path`, with a rival's means as horizontal lines.
 
     `rival` holds nearest_unknown's means by the names of the measures. Raises BadInput where
@@ -40,7 +46,8 @@ def draw_curve(metrics: Path, path: Path, rival: Mapping[str, float] | None = No
     """
     content = io.BytesIO()
     with matplotlib.rc_context(STYLE):
-        plot_curve(read_metrics(metrics), rival or {}).savefig(content, dpi=150, format="png")
+        figure = plot_curve(read_metrics(metrics), rival or {})
+        figure.savefig(content, dpi=150, format="png", metadata=origin.metadata())
     files.write_file(path, [content.getvalue()])
 
 
@@ -67,19 +74,31 @@ def read_metrics(metrics: Path) -> dict[str, Series]:
 
 
 def plot_curve(columns: Mapping[str, Series], rival: Mapping[str, float]) -> Figure:
-    """One panel per quantity, the most informative first."""
+    """One panel per quantity, the most informative first; one legend below all of them."""
     shown = panels(list(columns))[:MOST_PANELS]
     rows = -(-len(shown) // PANELS_A_ROW)
-    figure = new_figure(2.6 * min(len(shown), PANELS_A_ROW), 2.2 * rows)
+    kinds = [TRAINING, VALIDATION, *map(kind_of, columns)]
+    styles = {kind: row_style(index) for index, kind in enumerate(dict.fromkeys(kinds))}
+    figure = new_figure(2.6 * min(len(shown), PANELS_A_ROW), 2.2 * rows + LEGEND_INCHES)
     axes = figure.subplots(rows, min(len(shown), PANELS_A_ROW), squeeze=False).flatten()
     for panel, name in zip(axes, shown, strict=False):
-        _plot_panel(panel, name, {key: columns[key] for key in columns if last(key) == name})
+        own = {key: columns[key] for key in columns if last(key) == name}
+        _plot_panel(panel, name, own, styles)
         if name in rival:
-            panel.axhline(rival[name], color=unit(INK), linestyle="--", linewidth=1.0, label=RIVAL)
-        if len(panel.get_lines()) > 1:
-            panel.legend(frameon=False, fontsize=7)
+            panel.axhline(
+                rival[name], color=unit(INK), linestyle=RIVAL_DASHES, linewidth=1.2, label=RIVAL
+            )
     for panel in axes[len(shown) :]:
         panel.set_axis_off()
+    named = {
+        label: handle
+        for panel in axes
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        named.values(), named.keys(),
+        frameon=False, fontsize=7, ncols=len(named), loc="outside lower center",
+    )  # fmt: skip
     return figure
 
 
@@ -94,13 +113,19 @@ def last(name: str) -> str:
     return name.rpartition("/")[2]
 
 
-def _plot_panel(axes: Axes, title: str, columns: Mapping[str, Series]) -> None:
-    for index, (name, points) in enumerate(columns.items()):
+def kind_of(name: str) -> str:
+    """When a column was measured: `validation` of `validation/T_90`."""
+    return name.rpartition("/")[0] or TRAINING
+
+
+def _plot_panel(
+    axes: Axes, title: str, columns: Mapping[str, Series], styles: Mapping[str, dict[str, Any]]
+) -> None:
+    for name, points in columns.items():
         frames, values = zip(*points, strict=True)
-        label = name.rpartition("/")[0] or TRAINING
-        colour = unit(COLOURS.get(label, ROBOTS[(2 + index) % len(ROBOTS)]))
+        kind = kind_of(name)
         mark = "." if len(points) <= FEW else None
-        axes.plot(frames, values, marker=mark, linewidth=1.2, color=colour, label=label)
+        axes.plot(frames, values, marker=mark, linewidth=1.2, label=kind, **styles[kind])
     axes.set_title(title, loc="left")
     axes.set_xlabel(FRAMES)
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
@@ -163,6 +164,8 @@ def _draw_memory(axes: Axes, scene: Scene, view_size: int) -> None:
     row, col = (start + shift for start, shift in zip(corner, before, strict=True))
     square = matplotlib.patches.Rectangle((col, row), view_size, view_size, clip_on=False)
     square.set(fill=False, edgecolor=unit(robot_colour(0)), linewidth=1.5, zorder=5)
+    # Robot 1's colour is as light as what is unknown around its square.
+    square.set_path_effects([withStroke(linewidth=4, foreground=unit(PAGE))])
     axes.add_patch(square)
     axes.set_title(f"the robots' memory after {scene.step} steps")
 

@@ -11,7 +11,7 @@ from marl_clean.env.viewer import DIRTY, FURNITURE, INK, UNKNOWN, WALL, Colour
 from marl_clean.house.base import HouseLayout
 from marl_clean.report.axes import draw_cells, new_figure, unit
 
-LEFT_OUT: Colour = (204, 98, 160)
+LEFT_OUT: Colour = (152, 54, 116)  # between wall and furniture in lightness
 PAGE_WIDTH, PAGE_HEIGHT, SMALLEST_SIDE = 11.0, 8.0, 4.0  # inches of the drawing itself
 AROUND = 0.9  # inches for title and legend
 CHARACTER = 0.085  # inches per character of a title, so that it fits above a narrow floor plan

@@ -12,16 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
-from marl_clean.env.viewer import ROBOTS
 from marl_clean.evaluation.aggregates import mean
 from marl_clean.evaluation.efficiency import sample_efficiency
 from marl_clean.evaluation.records import TIMES, Entry
-from marl_clean.report.axes import new_figure, unit
+from marl_clean.report.axes import LEGEND_LINE, new_figure, row_colour, row_mark, row_style
 from marl_clean.report.curve import Series
 from marl_clean.report.vectors import PAGE_STYLE
 
 WIDTH, HEIGHT = 4.2, 2.9  # inches: at the smallest width of a page, text is of its usual size
-MARKS = "os^Dv<>P"
 SHOWN_TIMES = tuple(f"T_{name}" for name in TIMES if name.isdigit())
 CURVES = ("T_100", "finished")
 SHOWN_STEPS = 10  # of a profile, in the table behind it
@@ -71,11 +69,11 @@ def times(rows: Sequence[Shown]) -> Plot:
             low, high = summary["ci95"]
             at = place + (index - (len(rows) - 1) / 2) * height
             label = row.label if place == 0 else None
-            axes.plot([low, high], [at, at], color=_colour(index), linewidth=1.5)
-            axes.plot(summary["mean"], at, _mark(index), color=_colour(index), label=label)
+            axes.plot([low, high], [at, at], color=row_colour(index), linewidth=1.5)
+            axes.plot(summary["mean"], at, row_mark(index), color=row_colour(index), label=label)
             for entry in row.seeds:
                 own = entry["summary"][measure]["mean"]
-                axes.plot(own, at, ".", color=_colour(index), markersize=3, alpha=0.6)
+                axes.plot(own, at, ".", color=row_colour(index), markersize=3, alpha=0.6)
             cells.append(f"{summary['mean']:.1f} [{low:.1f}, {high:.1f}]")
         numbers.append([row.label, *cells])
     axes.set_yticks(range(len(SHOWN_TIMES)), list(SHOWN_TIMES))
@@ -95,8 +93,8 @@ def profile(rows: Sequence[Shown]) -> Plot:
         share, low, high = (
             [100 * value for value in row.finished_by[name]] for name in ("share", "low", "high")
         )
-        axes.fill_between(steps, low, high, color=_colour(index), alpha=0.15, linewidth=0)
-        axes.plot(steps, share, color=_colour(index), label=row.label, linewidth=1.3)
+        axes.fill_between(steps, low, high, color=row_colour(index), alpha=0.15, linewidth=0)
+        axes.plot(steps, share, **row_style(index), label=row.label, linewidth=1.3)
         cells = (f"{share[at]:.0f} [{low[at]:.0f}, {high[at]:.0f}] %" for at in shown)
         numbers.append([row.label, *cells])
     axes.set(xlabel="steps", ylabel="houses finished, %", ylim=(-2, 102), xlim=(0, steps[-1]))
@@ -120,10 +118,10 @@ def curve(learnt: Mapping[str, Mapping[str, Mapping[str, Series]]], measure: str
         if of_seeds is None:
             continue
         for line in lines:
-            axes.plot(*zip(*line, strict=True), color=_colour(index), linewidth=0.6, alpha=0.5)
+            axes.plot(*zip(*line, strict=True), color=row_colour(index), linewidth=0.6, alpha=0.5)
         band = (of_seeds.frames, of_seeds.low, of_seeds.high)
-        axes.fill_between(*band, color=_colour(index), alpha=0.15, linewidth=0)
-        axes.plot(of_seeds.frames, of_seeds.value, color=_colour(index), label=label)
+        axes.fill_between(*band, color=row_colour(index), alpha=0.15, linewidth=0)
+        axes.plot(of_seeds.frames, of_seeds.value, **row_style(index), label=label)
         for frames, value, low, high, seeds in zip(
             *(getattr(of_seeds, name) for name in ("frames", "value", "low", "high", "seeds")),
             strict=True,
@@ -150,11 +148,11 @@ def cost(rows: Sequence[Shown]) -> Plot | None:
             continue
         bits = row.pooled["summary"]["bits"]["mean"]
         summary = row.pooled["summary"]["T_100"]
-        axes.plot([bits, bits], summary["ci95"], color=_colour(index), linewidth=1.5)
-        axes.plot(bits, summary["mean"], _mark(index), color=_colour(index), label=row.label)
+        axes.plot([bits, bits], summary["ci95"], color=row_colour(index), linewidth=1.5)
+        axes.plot(bits, summary["mean"], row_mark(index), color=row_colour(index), label=row.label)
         for entry in row.seeds:
             own = [entry["summary"][name]["mean"] for name in ("bits", "T_100")]
-            axes.plot(*own, ".", color=_colour(index), markersize=3)
+            axes.plot(*own, row_mark(index), color=row_colour(index), markersize=3)
         numbers.append([row.label, f"{bits:.1f}", f"{summary['mean']:.1f}"])
     axes.set(xlabel="bits a step, all robots", ylabel="T_100, steps")
     return _finish("Steps to clean everything against bits a step", figure, axes, numbers)
@@ -174,14 +172,8 @@ def _finish(title: str, figure: Figure, axes: Axes, numbers: Rows) -> Plot:
         handles, labels = axes.get_legend_handles_labels()
         columns = 1 if max((len(label) for label in labels), default=0) > 24 else 2
         figure.legend(
-            handles, labels, loc="outside lower center", ncols=columns, frameon=False, fontsize=7
-        )
+            handles, labels,
+            frameon=False, fontsize=7, ncols=columns, handlelength=LEGEND_LINE,
+            loc="outside lower center",
+        )  # fmt: skip
     return Plot(title, figure, numbers)
-
-
-def _colour(index: int) -> object:
-    return unit(ROBOTS[index % len(ROBOTS)])
-
-
-def _mark(index: int) -> str:
-    return MARKS[index % len(MARKS)]

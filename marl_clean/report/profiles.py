@@ -8,9 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from marl_clean.env.viewer import INK, ROBOTS
-from marl_clean.report.axes import STYLE, new_figure, seeds_label, unit
-
-LINES = ("-", "--", "-.", ":")  # told apart in grey too
+from marl_clean.report.axes import LEGEND_LINE, STYLE, new_figure, row_style, seeds_label, unit
 
 Row = Mapping[str, Any]  # of evaluation.row_statistics
 
@@ -31,7 +29,10 @@ def draw_profiles(title: str, rows: Sequence[Row]) -> Figure:
         steps.set_title("share of houses finished", loc="left")
         steps.set_xlabel("by step")
         handles, names = steps.get_legend_handles_labels()
-        figure.legend(handles, names, frameon=False, fontsize=7, ncols=2, loc="outside lower left")
+        figure.legend(
+            handles, names,
+            frameon=False, fontsize=7, ncols=2, handlelength=LEGEND_LINE, loc="outside lower left",
+        )  # fmt: skip
         return figure
 
 
@@ -67,12 +68,10 @@ def _draw_curves(axes: Axes, rows: Sequence[Row], kind: str) -> None:
         curve = row[kind]
         if curve is None:
             continue
-        colour = unit(ROBOTS[place % len(ROBOTS)] if row["seeds"] else INK)
-        style = LINES[place % len(LINES)]
-        axes.fill_between(curve["grid"], curve["low"], curve["high"], color=colour, alpha=0.15)
-        axes.plot(
-            curve["grid"], curve["share"], style, color=colour, linewidth=1.4,
-            label=seeds_label(row["row"], len(row["seeds"])),
-        )  # fmt: skip
+        style = row_style(place) | ({} if row["seeds"] else {"color": unit(INK)})
+        band = (curve["grid"], curve["low"], curve["high"])
+        axes.fill_between(*band, color=style["color"], alpha=0.15)
+        label = seeds_label(row["row"], len(row["seeds"]))
+        axes.plot(curve["grid"], curve["share"], **style, linewidth=1.4, label=label)
     axes.set_ylim(-0.03, 1.03)
     axes.grid(alpha=0.25, linewidth=0.5)

@@ -16,6 +16,7 @@ from marl_clean.config.compose import compose_config
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.records import MEASURES, make_entry, write_entries
 from tests.families import family
+from tests.report.reading import origin_of
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -338,6 +339,7 @@ def test_the_figures_are_drawn_with_every_seed(tmp_path) -> None:
         "compare_profiles": ("share of houses finished", "nearest_unknown"),
         "compare_improvement": ("reference: comm=none",),
     }.items():
+        assert origin_of(figures / f"{stem}.png")[1] == ["hash"]
         drawn = (figures / f"{stem}.svg").read_text()
         for text in (*texts, "comm=plan (2 seeds)"):
             assert text in drawn

@@ -4,14 +4,17 @@ import io
 import re
 
 import pytest
+from omegaconf import DictConfig
 from rich.console import Console
 
 from marl_clean.commands import comparison, train
 from marl_clean.commands.compare import tables_of
 from marl_clean.commands.comparison import COMPARISONS, jobs_of
 from marl_clean.config.config_hash import config_hash
+from marl_clean.config.stored import load_config
 from marl_clean.errors import BadInput
 from tests.families import family
+from tests.report.reading import origin_of
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -69,7 +72,8 @@ def test_a_comparison_trains_what_it_lacks_and_names_its_budget(tmp_path, monkey
     for label in COMPARISONS["sensors"].rows:
         assert label in text
     assert re.search(r"budget=smoke: 512 frames, 2 run\(s\) a row, 3 houses", text)
-    assert png.read_bytes()[1:4] == b"PNG"
+    hashes = {config_hash(DictConfig(load_config(run))) for run in (tmp_path / "runs").glob("*-*")}
+    assert set(origin_of(svg)[1]) == set(origin_of(png)[1]) == hashes and len(hashes) == 4
 
     trained = []
     monkeypatch.setattr(train, "measure_all", lambda *arguments: trained.append(arguments))

@@ -10,6 +10,7 @@ from marl_clean.commands import train
 from marl_clean.commands.matrix import Trained, section_of, trained_over
 from marl_clean.commands.run_info import PICTURES
 from marl_clean.config.compose import compose_config
+from tests.report.reading import origin_of
 
 pytestmark = pytest.mark.usefixtures("one_thread", "unchecked")
 
@@ -59,7 +60,9 @@ def test_a_row_a_training_channel_and_a_column_a_test_channel(runs, monkeypatch,
     rows, columns = ("channel=perfect", "channel=delayed"), ("perfect", "delayed")
     assert names == {f"{row} | {column} (2 seeds)" for row in rows for column in columns}
     assert all(len(cell["houses"]) == 6 for cell in cells)
-    assert (runs / "runs/figures/matrix.png").is_file()
+    source, hashes = origin_of(runs / "runs/figures/matrix.png")
+    # A run's config over the other channel is that of the run trained over it.
+    assert source.startswith("marl-clean matrix ") and len(hashes) == 4
     # What it was trained over is measured as training measured it.
     [home] = [c for c in cells if c["policy"].startswith("channel=delayed | delayed")]
     stored = []

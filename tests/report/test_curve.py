@@ -5,6 +5,10 @@ from PIL import Image
 
 from marl_clean.errors import BadInput
 from marl_clean.report.curve import draw_curve, panels, plot_curve, read_metrics
+from marl_clean.report.origin import Origin
+from tests.report.reading import origin_of
+
+ORIGIN = Origin("marl-clean train", ["ab"])
 
 CSV = """frames,train/loss,train/coverage,validation/coverage,validation/T_90
 0,,0.1,,
@@ -35,7 +39,8 @@ def test_columns_of_one_thing_share_a_panel_and_the_result_comes_first(tmp_path)
 
 def test_a_picture_is_written(tmp_path):
     (tmp_path / "metrics.csv").write_text(CSV)
-    draw_curve(tmp_path / "metrics.csv", tmp_path / "curve.png")
+    draw_curve(tmp_path / "metrics.csv", tmp_path / "curve.png", ORIGIN)
+    assert origin_of(tmp_path / "curve.png") == ("marl-clean train", ["ab"])
     with Image.open(tmp_path / "curve.png") as picture:
         assert picture.width > picture.height > 200
 
@@ -45,5 +50,5 @@ def test_no_table_of_frames_is_bad_input(tmp_path, text):
     if text is not None:
         (tmp_path / "metrics.csv").write_text(text)
     with pytest.raises(BadInput, match="metrics.csv"):
-        draw_curve(tmp_path / "metrics.csv", tmp_path / "curve.png")
+        draw_curve(tmp_path / "metrics.csv", tmp_path / "curve.png", ORIGIN)
     assert not (tmp_path / "curve.png").exists()

@@ -8,12 +8,15 @@ import pytest
 from rich.console import Console
 
 from marl_clean.commands import evaluate, figure, watch
+from marl_clean.commands.command_line import issued
 from marl_clean.config.compose import compose_config
+from marl_clean.config.config_hash import config_hash
 from marl_clean.env import viewer
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses
 from marl_clean.report import figures
 from marl_clean.report.figures import digits, draw_figure, house_colours, memory_colours
+from tests.report.reading import origin_of
 
 SMALL = ["house.rows=[5, 6]", "house.cols=[7, 9]", "env.max_steps=30", "observation.view_size=5"]
 
@@ -76,13 +79,25 @@ def test_the_view_in_figure_2_is_what_the_network_gets(cfg):
 def test_every_figure_is_written_as_svg_and_png(cfg, tmp_path, monkeypatch):
     monkeypatch.setattr(figure, "RUNS", tmp_path)
     for name in figure.NAMES:
-        svg, png = figure.main(name, cfg, quiet())
+        with issued(["figure", name, *SMALL]):
+            svg, png = figure.main(name, cfg, quiet())
+        command = f"marl-clean figure {name} 'house.rows=[5, 6]'"
+        for path in (svg, png):
+            source, hashes = origin_of(path)
+            assert source.startswith(command) and hashes == [config_hash(cfg)]
         assert (svg, png) == (
             tmp_path / "figures" / f"{name}.svg",
             tmp_path / "figures" / f"{name}.png",
         )
         assert svg.read_text().startswith("<?xml") and png.read_bytes()[1:4] == b"PNG"
     assert figure.NAMES == tuple(figures.FIGURES)
+
+
+@pytest.mark.parametrize("level", ["compass", "distances", "global_map"])
+def test_what_is_no_square_around_the_robot_is_refused_by_figure_2(level):
+    cfg = compose_config([f"observation={level}"])
+    with pytest.raises(BadInput, match=f"observation={level}: figure paper_2 needs a square"):
+        figure.main("paper_2", cfg)
 
 
 def test_a_misspelt_figure_is_bad_input_that_lists_them(cfg):

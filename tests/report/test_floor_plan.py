@@ -16,6 +16,7 @@ from marl_clean.report.floor_plan import (
     floor_plan_colours,
     legend_of,
 )
+from marl_clean.report.origin import Origin
 
 
 def layout_of(text: str, source: str = "maps/flat.yaml") -> HouseLayout:
@@ -76,7 +77,7 @@ def test_a_title_longer_than_a_narrow_plan_is_wide_has_room() -> None:
 @pytest.mark.slow
 def test_a_large_plan_is_an_image_and_not_a_square_for_each_cell(tmp_path: Path) -> None:
     layout = layout_of(" ".join([".#" * 200] * 200))
-    svg, png = save_figure(draw_floor_plan(layout), tmp_path / "plan")
+    svg, png = save_figure(draw_floor_plan(layout), tmp_path / "plan", Origin("", []))
     assert svg.stat().st_size < 1_000_000 and png.stat().st_size < 1_000_000
 
 
