@@ -10,12 +10,9 @@ from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
-from omegaconf import DictConfig
-
 from marl_clean.commands.checks import check_all
 from marl_clean.commands.command_line import issued
 from marl_clean.commands.run_info import FAILED, LOG, is_finished
-from marl_clean.config.hydra_adapter import settings_of_job
 from marl_clean.config.locate import use_plugins
 from marl_clean.config.stored import RUNS, compose_for_training
 from marl_clean.errors import BadInput
@@ -25,14 +22,13 @@ from marl_clean.storage.lock import Held, check_free
 LOGGED_BYTES = 64 << 10  # of the log, in the file of a failure
 
 
-def train_job(composed: DictConfig, plugins: Sequence[str] = (), driver: int = 0) -> None:
+def train_job(settings: Sequence[str], plugins: Sequence[str] = (), driver: int = 0) -> None:
     """Train one job, or what is left of it; an error is noted in its folder and not raised.
 
-    Its settings are composed anew: Hydra does not know a checkpoint's config. They are checked
+    Its settings are composed here, since Hydra does not know a checkpoint's config, and checked
     again, since the job may run on another machine than the launcher. `driver`: the process of
     the sweep, which a signal ends; in another process it ends this job alone, with its state saved.
     """
-    settings = settings_of_job()
     [*_, name] = (s.removeprefix("name=") for s in settings if s.startswith("name="))
     folder = RUNS / name
     folder.mkdir(parents=True, exist_ok=True)

@@ -115,6 +115,8 @@ def run_missing(jobs: Sequence[Job], of_hydra: Sequence[Override]) -> None:
         began = time.time() - CLOCK_SECONDS
         try:
             errors = launch(task, [job.settings for job in left], of_hydra)
+        except BadInput:
+            raise
         except Exception as error:  # of the launcher, whose libraries raise what they like
             _wait_for_holders(left)
             died = [job for job in left if _began(job, began) and not _ended(job)]

@@ -7,7 +7,7 @@ import copy
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import islice
 from typing import Any
 
@@ -29,6 +29,7 @@ from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from marl_clean.config import _ray
 from marl_clean.config.levels import levels_in
 from marl_clean.config.locate import own, packages
 from marl_clean.config.schema import choices
@@ -40,12 +41,13 @@ LAUNCHER = "hydra/launcher"
 MOST_VALUES = 100_000  # of one key of a sweep
 LAUNCHERS = {  # what to install for those that do not come with Hydra
     "joblib": "'marl-clean[sweep]'",
-    "ray": "hydra-ray-launcher",
-    "ray_aws": "hydra-ray-launcher",
+    "ray": "'marl-clean[ray]'",
     "rq": "hydra-rq-launcher",
     "submitit_local": "'marl-clean[slurm]'",
     "submitit_slurm": "'marl-clean[slurm]'",
 }
+
+_ray.offer_ray()
 
 
 @dataclass(frozen=True)
@@ -214,19 +216,22 @@ def launchers() -> list[str]:
 
 
 def launch(
-    task: Callable[[DictConfig], None],
+    task: Callable[[Sequence[str]], None],
     jobs: Sequence[Sequence[str]],
     overrides: Sequence[Override],
 ) -> list[Exception | None]:
-    """Run `task` for every job, by the launcher that `overrides` choose and set.
+    """Run `task` for every job's settings, by the launcher that `overrides` choose and set.
 
     Return what each job raised. Raises what the launcher itself does, as where a worker was killed.
     """
     with _hydra() as hydra:
         config = _for_launching(hydra, overrides)
+        chosen = OmegaConf.to_object(config.hydra.launcher)
+        if isinstance(chosen, _ray.RayConf):
+            return _ray.launch_on_ray(task, jobs, chosen)
         launcher = Plugins.instance().instantiate_launcher(
             hydra_context=HydraContext(hydra.config_loader, Callbacks(config)),
-            task_function=task,
+            task_function=partial(_hydra_job, task),
             config=config,
         )
         results = launcher.launch([list(job) for job in jobs], initial_job_idx=0)
@@ -234,9 +239,8 @@ def launch(
     return [r._return_value if f else None for r, f in zip(results, failed, strict=True)]
 
 
-def settings_of_job() -> list[str]:
-    """The settings of the job that this process runs for a launcher."""
-    return list(HydraConfig.get().overrides.task)
+def _hydra_job(task: Callable[[Sequence[str]], None], composed: DictConfig) -> None:
+    task(list(HydraConfig.get().overrides.task))
 
 
 def first_line(error: Exception) -> str:

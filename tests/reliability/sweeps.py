@@ -24,6 +24,7 @@ OF_LAUNCHER = {
     "basic": [],
     "joblib": ["hydra.launcher.n_jobs=2"],
     "submitit_local": ["hydra.launcher.timeout_min=10"],
+    "ray": [],
 }
 
 
