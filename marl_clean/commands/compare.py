@@ -102,7 +102,7 @@ def main(
 
 def write_exports(folder: Path, worlds: Sequence[WorldComparison]) -> list[Path]:
     """Write the three exports. Raises BadInput where they cannot be written."""
-    from marl_clean.report.curve import read_metrics
+    from marl_clean.report.metrics import read_metrics
 
     measured = [item for world in worlds for item in world.measured]
     curves: dict[Path, dict[str, Any]] = {}

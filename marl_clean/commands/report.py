@@ -14,9 +14,10 @@ from marl_clean.errors import BadInput
 from marl_clean.evaluation.paired import cell_of
 from marl_clean.evaluation.paired import compared as compared_measures
 from marl_clean.evaluation.records import SHOWN, SHOWN_EXTERNAL, Entry
+from marl_clean.evaluation.row_statistics import caption_of, statistics_cells
 from marl_clean.evaluation.table import YARDSTICK, interval, output, row_of
-from marl_clean.report.curve import Series, read_metrics
 from marl_clean.report.html import Part, render
+from marl_clean.report.metrics import Series, read_metrics
 from marl_clean.report.plots import SHOWN_TIMES, Rows, Shown, curves, plots
 from marl_clean.report.recorded import REPLAY, Recording, read_recording
 from marl_clean.storage import files
@@ -107,6 +108,7 @@ def part_of(world: World, comparison: WorldComparison, short: Mapping[str, str])
         reference = short.get(comparison.reference.label, comparison.reference.label)
         caption = f"Minus {reference}, house by house and seed by seed; {STARS}"
         tables.append((caption, paired_table(comparison, short)))
+    tables.append(statistics_table(comparison, short))
     houses = len(next(iter(rows[0].runs.values()))["houses"])
     seeds = ", ".join(f"{short[row.label]}: {len(row.runs)}" for row in rows)
     return Part(title, f"{houses} episodes a run; runs by seed: {seeds}.", tables, plots(shown))
@@ -191,6 +193,18 @@ def name_of(entry: Entry, short: Mapping[str, str]) -> str:
     """The name on the page of a row's pooled entry, or of a planner's."""
     label, seeds, number = entry["policy"].partition(" (")
     return f"{short.get(label, label)}{seeds}{number}"
+
+
+def statistics_table(comparison: WorldComparison, short: Mapping[str, str]) -> tuple[str, Rows]:
+    """Interquartile means, gaps and probabilities; the means stand in the first table."""
+    named = [{**row, "row": short.get(row["row"], row["row"])} for row in comparison.statistics]
+    for row in named:
+        if "improvement" in row:
+            over = row["improvement"]["over"]
+            row["improvement"] = {**row["improvement"], "over": short.get(over, over)}
+    cells = statistics_cells(named)
+    kept = [place for place, title in enumerate(cells[0]) if title not in SHOWN]
+    return caption_of(named) or "", [[line[place] for place in kept] for line in cells]
 
 
 def returns_table(entries: Sequence[Entry], short: Mapping[str, str]) -> Rows:

@@ -1,7 +1,7 @@
 """What a comparison says of each row: aggregates, profiles, how often it beats the reference."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -124,25 +124,42 @@ def _curve(curve: Profile | None) -> dict[str, list[float]] | None:
 
 def make_statistics_table(statistics: Sequence[Mapping[str, Any]]) -> Table:
     """Means and interquartile means side by side, with the number of seeds."""
-    overs = [row["improvement"]["over"] for row in statistics if "improvement" in row]
-    timed = "T_100" in statistics[0]["aggregates"]
-    measures = TIMES if timed else SHOWN_EXTERNAL
+    titles, *lines = statistics_cells(statistics)
     table = Table(
         title=f"seeds and interquartile means ({statistics[0]['house_set']})",
-        caption=CAPTION.format(reference=overs[0] if overs else "the reference") if timed else None,
+        caption=caption_of(statistics),
         caption_justify="left",
         box=box.SIMPLE_HEAD,
     )
-    table.add_column("policy", no_wrap=True)
-    titles = ["seeds"]
+    for title in titles:
+        justify: Literal["left", "right"] = "right" if table.columns else "left"
+        table.add_column(title, justify=justify, no_wrap=True)
+    for line in lines:
+        table.add_row(*line)
+    return table
+
+
+def caption_of(statistics: Sequence[Mapping[str, Any]]) -> str | None:
+    """What the columns of houses mean; an external task has none of them."""
+    if "T_100" not in statistics[0]["aggregates"]:
+        return None
+    overs = [row["improvement"]["over"] for row in statistics if "improvement" in row]
+    return CAPTION.format(reference=overs[0] if overs else "the reference")
+
+
+def statistics_cells(statistics: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """The cells of the table of seeds and interquartile means, titles first."""
+    overs = any("improvement" in row for row in statistics)
+    timed = "T_100" in statistics[0]["aggregates"]
+    measures = TIMES if timed else SHOWN_EXTERNAL
+    titles = ["policy", "seeds"]
     titles += [title for measure in measures for title in (measure, f"IQM {measure}")]
     titles += ["gap"] if timed else []
     titles += [f"P({'sooner' if timed else 'more'})"] if overs else []
-    for title in titles:
-        table.add_column(title, justify="right", no_wrap=True)
+    lines = [titles]
     for row in statistics:
         shown = row["aggregates"]
-        cells = [str(len(row["seeds"])) if row["seeds"] else NONE]
+        cells = [row["row"], str(len(row["seeds"])) if row["seeds"] else NONE]
         for measure in measures:
             cells += [cell_of(shown[measure]["mean"]), cell_of(shown[measure]["iqm"])]
         if timed:
@@ -150,8 +167,8 @@ def make_statistics_table(statistics: Sequence[Mapping[str, Any]]) -> Table:
         if overs:
             chance = row.get("improvement", {}).get(measures[-1])
             cells.append(NONE if chance is None else cell_of(chance, 2))
-        table.add_row(row["row"], *cells)
-    return table
+        lines.append(cells)
+    return lines
 
 
 def cell_of(number: Mapping[str, Any], digits: int = 1) -> str:

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int, UInt
-from scipy.stats import t as student
+from scipy.special import stdtr  # scipy.stats has it too, and takes a second to import
 
 from marl_clean.errors import BadInput
 
@@ -123,7 +123,7 @@ def paired_p(
     if mean == 0:
         return 1.0
     error = sum(errors) ** 0.5
-    return float(2 * student.sf(abs(mean) / error, min(degrees))) if error else 0.0
+    return float(2 * stdtr(min(degrees), -abs(mean) / error)) if error else 0.0
 
 
 def holm(values: Sequence[float]) -> list[float]:

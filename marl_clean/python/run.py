@@ -21,7 +21,8 @@ from marl_clean.evaluation.records import MEASURED, read_entries
 from marl_clean.python.keywords import overrides_of
 from marl_clean.python.measuring import config_for_policy, env_of, measure
 from marl_clean.python.table import Table
-from marl_clean.report.curve import plot_curve, read_metrics
+from marl_clean.report.curve import plot_curve
+from marl_clean.report.metrics import read_metrics
 from marl_clean.report.replay import make_replay
 
 REPLAY = "replay.gif"

@@ -1,11 +1,8 @@
 """`curve.png`: how a run learnt, from its metrics.csv.
 
-The file has a column `frames` and one for each logged quantity, such as `train/loss` or
-`validation/T_90`; a cell is empty where nothing was logged at that frame. Columns with the same
-last name share a panel.
+Columns with the same last name share a panel.
 """
 
-import csv
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,12 +14,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
 from marl_clean.env.viewer import INK
-from marl_clean.errors import BadInput
 from marl_clean.report.axes import STYLE, new_figure, row_style, unit
+from marl_clean.report.metrics import FRAMES, Series, read_metrics
 from marl_clean.report.origin import Origin
 from marl_clean.storage import files
 
-FRAMES = "frames"
 FIRST = ("finished", "T_90", "T_100", "coverage", "return", "redundancy", "loss", "epsilon")
 RIVAL = "nearest_unknown"
 TRAINING = "training"  # where a column's name has no first part
@@ -32,8 +28,6 @@ LEGEND_INCHES = 0.25
 MOST_PANELS = 8
 PANELS_A_ROW = 4
 FEW = 40  # with at most so many points, each gets a mark
-
-Series = list[tuple[float, float]]  # (frames, value)
 
 
 def draw_curve(
@@ -49,28 +43,6 @@ def draw_curve(
         figure = plot_curve(read_metrics(metrics), rival or {})
         figure.savefig(content, dpi=150, format="png", metadata=origin.metadata())
     files.write_file(path, [content.getvalue()])
-
-
-def read_metrics(metrics: Path) -> dict[str, Series]:
-    """Every column's points, empty cells left out. Raises BadInput without a column of frames."""
-    try:
-        with metrics.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    except OSError as error:
-        raise BadInput(f"{metrics}: cannot be read: {error.strerror}") from error
-    except (ValueError, csv.Error) as error:
-        raise BadInput(f"{metrics}: is no csv of numbers; a run's metrics.csv is valid") from error
-    if not rows or FRAMES not in rows[0]:
-        raise BadInput(f"{metrics}: needs a column {FRAMES} and at least one row of numbers")
-    try:
-        columns = {
-            name: [(float(row[FRAMES]), float(row[name])) for row in rows if row[name]]
-            for name in rows[0]
-            if name != FRAMES
-        }
-    except (TypeError, ValueError) as error:
-        raise BadInput(f"{metrics}: {error}; a run's metrics.csv is valid") from error
-    return {name: points for name, points in columns.items() if points}
 
 
 def plot_curve(columns: Mapping[str, Series], rival: Mapping[str, float]) -> Figure:

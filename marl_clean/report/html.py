@@ -9,7 +9,6 @@ from typing import Any
 
 from marl_clean.report.plots import Plot, Rows
 from marl_clean.report.recorded import Recording
-from marl_clean.report.vectors import as_vectors
 
 ASSETS = package_files("marl_clean.report") / "page"
 NOTHING = '<option value="">nothing</option>'
@@ -61,7 +60,7 @@ def render(
 
 
 def _part(part: Part, anchor: str) -> str:
-    plots = "".join(_plot(plot, f"{anchor}-{number}") for number, plot in enumerate(part.plots))
+    plots = "".join(map(_plot, part.plots))
     return "\n".join(
         [
             f'<section id="{anchor}"><h2>{escape(part.title)}</h2>',
@@ -73,11 +72,11 @@ def _part(part: Part, anchor: str) -> str:
     )
 
 
-def _plot(plot: Plot, name: str) -> str:
-    vectors = as_vectors(plot.figure, name)
+def _plot(plot: Plot) -> str:
     numbers = _table(plot.numbers, plot.title)
     return (
-        f"<figure>{vectors}<figcaption>{escape(plot.title)}</figcaption>"
+        f"<figure><figcaption>{escape(plot.title)}</figcaption>"
+        f"{plot.chart.svg(plot.title)}{plot.chart.legend()}"
         f"<details><summary>its numbers</summary>{numbers}</details></figure>"
     )
 

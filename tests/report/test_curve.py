@@ -4,7 +4,8 @@ import pytest
 from PIL import Image
 
 from marl_clean.errors import BadInput
-from marl_clean.report.curve import draw_curve, panels, plot_curve, read_metrics
+from marl_clean.report.curve import draw_curve, panels, plot_curve
+from marl_clean.report.metrics import read_metrics
 from marl_clean.report.origin import Origin
 from tests.report.reading import origin_of
 
