@@ -1,8 +1,8 @@
 """`marl-clean COMMAND [key=value ...]`: one thin function a command.
 
 The config is composed and checked first; only then is torch imported. Exit codes: 0 done, 1
-`doctor` reports a problem or a sweep has jobs that are not finished, 2 bad input (one line on
-stderr), 130 interrupted, 143 terminated.
+`doctor` reports a problem, a sweep has jobs that are not finished, or a search no trial with a
+value, 2 bad input (one line on stderr), 130 interrupted, 143 terminated.
 """
 
 import argparse
@@ -42,6 +42,13 @@ def train(arguments: argparse.Namespace) -> int:
 
     command.main(config, RUNS / config.name)
     return 0
+
+
+def tune(arguments: argparse.Namespace) -> int:
+    """search any keys for the best value of a measure, by Optuna; the same command again resumes"""
+    from marl_clean.commands import tune as command
+
+    return command.run(arguments.settings)
 
 
 def evaluate(arguments: argparse.Namespace) -> int:
@@ -177,6 +184,7 @@ def doctor(arguments: argparse.Namespace) -> int:
 
 COMMANDS = {
     "train": train,
+    "tune": tune,
     "evaluate": evaluate,
     "watch": watch,
     "figure": figure,

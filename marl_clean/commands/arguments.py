@@ -34,7 +34,7 @@ def parser_of(name: str, does: str, shows_help: bool = False) -> Parser:
     """Return a command's parser; `does` is what its help says, with `shows_help` levels too."""
     parser = Parser(
         prog=f"marl-clean {name}",
-        description=f"{does}{ALSO.get(name, '')}",
+        description=f"{does}{ALSO.get(name, '')}{_of_tune() if name == 'tune' else ''}",
         epilog=_levels() if shows_help and name not in WITHOUT_SETTINGS else None,
         parents=[plugin_option()],
     )
@@ -71,6 +71,12 @@ def parser_of(name: str, does: str, shows_help: bool = False) -> Parser:
     if name not in WITHOUT_SETTINGS:
         parser.add_argument("settings", metavar="key=value", nargs="*", help="Hydra overrides")
     return parser
+
+
+def _of_tune() -> str:
+    from marl_clean.commands._tune_settings import described
+
+    return f"; its own settings: {described()}"
 
 
 def _levels() -> str:

@@ -1,6 +1,7 @@
 """`marl-clean train`: train, choose weights on validation houses, measure, draw."""
 
 import logging
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from marl_clean.evaluation.evaluator import (
 )
 from marl_clean.evaluation.records import MEASURED, Entry, Torn, read_entries, write_entries
 from marl_clean.evaluation.table import make_table, output
+from marl_clean.logger.base import Logger
 from marl_clean.report.curve import draw_curve
 from marl_clean.report.origin import Origin
 from marl_clean.report.recorded import REPLAY
@@ -69,8 +71,11 @@ def _main(cfg: DictConfig, folder: Path, console: Console) -> list[Entry]:
     return entries
 
 
-def train(cfg: DictConfig, folder: Path) -> Outcome:
-    """Train until the budget is spent; the folder is made when everything is built."""
+def train(cfg: DictConfig, folder: Path, more_loggers: Sequence[Logger] = ()) -> Outcome:
+    """Train until the budget is spent; the folder is made when everything is built.
+
+    `more_loggers` log beside those of the config; what one raises ends the training.
+    """
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it reports every buffer it makes
     torch.manual_seed(cfg.seed)
     env = build.make_env(cfg)
@@ -82,6 +87,7 @@ def train(cfg: DictConfig, folder: Path) -> Outcome:
     if cfg.checkpoint is not None:  # a resumed run puts its state over these weights
         build.start_from(agent, cfg)
     loggers = [instantiate(section, folder=folder) for section in cfg.logger.values()]
+    loggers += more_loggers
     try:
         folder.mkdir(parents=True, exist_ok=True)
         files.write_file(folder / CONFIG, [OmegaConf.to_yaml(cfg, resolve=True).encode()])

@@ -54,9 +54,9 @@ _ray.offer_ray()
 class Span:
     """Numbers from `low` to `high`: in steps, or all of them where `step` is None."""
 
-    low: float
-    high: float
-    step: float | None
+    low: int | float
+    high: int | float
+    step: int | float | None
 
 
 @dataclass(frozen=True)

@@ -92,6 +92,7 @@ def test_a_run_is_not_called_like_a_file(
 COMPOSING = [
     "train",
     "train -m seed=1,2",
+    "tune seed=1,2",
     "evaluate",
     "watch",
     "figure paper_1",
