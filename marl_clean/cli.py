@@ -55,7 +55,7 @@ def evaluate(arguments: argparse.Namespace) -> int:
     """measure checkpoint=RUN or planner=NAME on held-out houses or on a plan; intervention=all"""
     from marl_clean.commands.checks import check_all, check_intervention, check_out
     from marl_clean.config.config_hash import config_hash
-    from marl_clean.config.stored import RUNS, compose_for_policy
+    from marl_clean.config.stored import EVALUATED, RUNS, compose_for_policy
 
     texts = [text for text in arguments.settings if text.startswith(INTERVENE)]
     intervention = texts[-1].removeprefix(INTERVENE) if texts else None
@@ -66,7 +66,7 @@ def evaluate(arguments: argparse.Namespace) -> int:
     name = config.name
     if config.checkpoint is not None and len(settings) > 1:  # measured elsewhere
         name = f"{name}-{config_hash(config)[:8]}"
-    out = Path(config.out or RUNS / "evaluate" / name / "evaluation.json")
+    out = Path(config.out or RUNS / EVALUATED / name / "evaluation.json")
     check_out(out)
     from marl_clean.commands import evaluate as command
     from marl_clean.evaluation.interventions import named

@@ -98,6 +98,8 @@ def of_folder(folder: Path) -> list[Measured]:
         raise BadInput(f"{folder / MEASURED}: has no entry of its own run")
     result = []
     for entry in entries:
+        if "change" in entry:  # an intervention, which is neither a run nor a planner
+            continue
         world = hash_of(world_key(entry, config["env"]))
         if entry["policy"] != config["name"]:
             result.append(Measured(world, None, None, entry, entry["policy"]))

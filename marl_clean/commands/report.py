@@ -1,6 +1,7 @@
 """`marl-clean report RUNS...`: finished runs on one page, to read and to play; needs no torch."""
 
 import logging
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -8,6 +9,7 @@ from rich.console import Console
 
 from marl_clean.commands.compare import WorldComparison, comparison_of
 from marl_clean.commands.gathering import IGNORED_KEYS, World, gather, rows_of
+from marl_clean.commands.intervention_part import STARS, interventions_of
 from marl_clean.commands.labels import settings_apart
 from marl_clean.config.stored import METRICS, RUNS
 from marl_clean.errors import BadInput
@@ -26,8 +28,8 @@ NOTE = (
     "Means over houses and seeds with 95 % intervals; a house not finished counts as its max_steps."
 )
 SETTINGS = "Only what sets the runs apart; seeds are pooled."
-STARS = "** p < 0.05 after Holm's correction, * before it"
 ON_PAGE = tuple(dict.fromkeys((*SHOWN, *SHOWN_TIMES, *SHOWN_EXTERNAL, "bits")))  # of seeds pooled
+MOST_NAMES = 3  # in a title
 LONGEST_NAME = 28  # characters of a row's label that a legend has room for
 log = logging.getLogger(__name__)
 
@@ -51,13 +53,17 @@ def main(
         raise BadInput(f"report: no finished run among {', '.join(runs)}; give folders of {RUNS}/")
     folders = folders_of(worlds.values())
     comparisons = [comparison_of(key, world, against, ON_PAGE) for key, world in worlds.items()]
-    short, settings = names_of(worlds.values())
+    names, settings = names_of(worlds.values())
     parts = [] if settings is None else [Part("Settings", SETTINGS, [("Settings", settings)])]
-    parts += [part_of(*pair, short) for pair in zip(worlds.values(), comparisons, strict=True)]
-    parts += learning_of(worlds.values(), folders, short)
+    titles = titles_of(worlds.values(), names)
+    parts += [
+        part_of(*world) for world in zip(titles, worlds.values(), comparisons, names, strict=True)
+    ]
+    parts += interventions_of(worlds.values(), folders, names)
+    parts += learning_of(worlds.values(), folders, names)
     replays = [recording for folder in folders.values() for recording in recordings_in(folder)]
-    names = dict.fromkeys(entry["policy"] for world in worlds.values() for entry in learned(world))
-    title = f"{len(names)} runs" if len(names) != 1 else next(iter(names))
+    shown = dict.fromkeys(entry["policy"] for world in worlds.values() for entry in learned(world))
+    title = f"{len(shown)} runs" if len(shown) != 1 else next(iter(shown))
     page = render(title, [NOTE], parts, replays)
     path = out or RUNS / "report.html"
     try:
@@ -84,25 +90,38 @@ def folders_of(worlds: Iterable[World]) -> dict[str, Path]:
     }
 
 
-def part_of(world: World, comparison: WorldComparison, short: Mapping[str, str]) -> Part:
-    """One world's measures and plots; `short` are the names of rows on the page."""
+def titles_of(worlds: Iterable[World], names: Sequence[Mapping[str, str]]) -> list[str]:
+    """A title for each world: its houses and robots, and its rows where several have the same."""
+    titles = []
+    for world, short in zip(worlds, names, strict=True):
+        first = next(iter(next(iter(world.settings.values())).runs.values()))
+        own = list(short.values())
+        shown = ", ".join(own) if len(own) <= MOST_NAMES else f"{own[0]} to {own[-1]}"
+        titles.append((f"{first['house_set']}, {first['n_agents']} robots", shown))
+    seen = Counter(title for title, _ in titles)
+    return [f"{title}: {shown}" if seen[title] > 1 else title for title, shown in titles]
+
+
+def part_of(
+    title: str, world: World, comparison: WorldComparison, short: Mapping[str, str]
+) -> Part:
+    """One world's measures and plots; `short` are the names of its rows on the page."""
     first = comparison.entries[0]
-    title = f"{first['house_set']}, {first['n_agents']} robots"
     if "T_100" not in first["summary"]:
         return Part(title, tables=[("Returns", returns_table(comparison.entries, short))])
     rows = rows_of(world)
-    finished_by = {row["row"]: row["finished_by"] for row in comparison.statistics}
+    statistics = {row["row"]: row for row in comparison.statistics}
     shown = [
         Shown(
             short[row.label],
             comparison.pools[row.label],
             list(row.runs.values()),
-            finished_by[row.label],
+            statistics[row.label],
         )
         for row in rows
     ]
     if comparison.planner is not None:
-        shown.append(Shown(YARDSTICK, comparison.planner, (), finished_by[YARDSTICK]))
+        shown.append(Shown(YARDSTICK, comparison.planner, (), statistics[YARDSTICK]))
     tables = [("Measures", measures_table(comparison, short))]
     if comparison.reference is not None and comparison.differences:
         reference = short.get(comparison.reference.label, comparison.reference.label)
@@ -115,11 +134,11 @@ def part_of(world: World, comparison: WorldComparison, short: Mapping[str, str])
 
 
 def learning_of(
-    worlds: Iterable[World], folders: Mapping[str, Path], short: Mapping[str, str]
+    worlds: Iterable[World], folders: Mapping[str, Path], names: Sequence[Mapping[str, str]]
 ) -> list[Part]:
     """The part on learning: what each run logged, a row for each setting, once for all worlds."""
     learnt: dict[str, dict[str, Mapping[str, Series]]] = {}
-    for world in worlds:
+    for world, short in zip(worlds, names, strict=True):
         for row in rows_of(world):
             runs = learnt.setdefault(short[row.label], {})
             for entry in row.runs.values():
@@ -132,25 +151,30 @@ def learning_of(
     )
 
 
-def names_of(worlds: Iterable[World]) -> tuple[dict[str, str], Rows | None]:
-    """Short names of rows by their labels, and a table of the settings in which they differ.
+def names_of(worlds: Iterable[World]) -> tuple[list[dict[str, str]], Rows | None]:
+    """Each world's names of rows by their labels, and a table of the settings that differ.
 
-    A label is its own name where all are short; else rows are A, B, C, ...
+    A setting has one name on the page, in whatever worlds it was measured: its label where all are
+    short and no two settings share it; else settings are A, B, C, ...
     """
-    configs = {
-        row.label: setting.config
-        for world in worlds
-        for row, setting in zip(rows_of(world), world.settings.values(), strict=True)
-    }
-    letters = max(map(len, configs)) > LONGEST_NAME
-    short = {label: letter(i) if letters else label for i, label in enumerate(configs)}
-    stored = [config for config in configs.values() if config is not None]
-    if len(stored) < 2 or len(stored) < len(configs):  # exports hold no configs
+    worlds = list(worlds)
+    rows = [list(zip(rows_of(world), world.settings.items(), strict=True)) for world in worlds]
+    settings = {key: setting for world in rows for _, (key, setting) in world}
+    label_of = {key: row.label for world in reversed(rows) for row, (key, _) in reversed(world)}
+    labels = [label_of[key] for key in settings]
+    letters = max(map(len, labels)) > LONGEST_NAME or len(set(labels)) < len(labels)
+    names = {key: letter(i) if letters else label_of[key] for i, key in enumerate(settings)}
+    short = [{row.label: names[key] for row, (key, _) in world} for world in rows]
+    stored = [setting.config for setting in settings.values() if setting.config is not None]
+    if len(stored) < 2 or len(stored) < len(settings):  # exports hold no configs
         return short, None
     apart = settings_apart(stored, IGNORED_KEYS)
-    keys = list(dict.fromkeys(key for settings in apart for key in settings))
-    lines = [[key, *(settings.get(key, "") for settings in apart)] for key in keys]
-    return short, [["setting", *short.values()], *lines]
+    keys = list(dict.fromkeys(key for differing in apart for key in differing))
+    lines = [
+        [name, *(differing.get(key, "") for key in keys)]
+        for name, differing in zip(names.values(), apart, strict=True)
+    ]
+    return short, [["policy", *keys], *lines]
 
 
 def letter(index: int) -> str:

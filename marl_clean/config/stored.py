@@ -32,6 +32,7 @@ from marl_clean.storage.manifest import weights_sha256
 from marl_clean.storage.safe_yaml import load_yaml
 
 RUNS = Path("runs")
+EVALUATED = "evaluate"  # in it: what `evaluate` measured
 CONFIG, METRICS = "config.yaml", "metrics.csv"  # of a run's folder
 LONGEST_PART, LONGEST_PATH = 255, 4000  # characters of a file's name and path
 WEIGHTS = "weights"

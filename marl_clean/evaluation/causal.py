@@ -9,6 +9,7 @@ from rich import box
 from rich.table import Table
 
 from marl_clean.evaluation.evaluator import OnProgress, in_any_env, measure
+from marl_clean.evaluation.intervened import CAPTION, MARK, listening_cells, name_of
 from marl_clean.evaluation.interventions import INTERVENTIONS, communicating, intervened
 from marl_clean.evaluation.listening import listening
 from marl_clean.evaluation.paired import Row, differences, make_paired_table
@@ -37,7 +38,7 @@ def intervene(
     yield {**untouched, "listening": listening(cfg, speaking, count, epsilon)}
     for intervention in interventions:
         changed = intervened(speaking, INTERVENTIONS[intervention])
-        label = f"{name} | {intervention}"
+        label = f"{name}{MARK}{intervention}"
         entry = measure(
             cfg,
             partial(in_any_env, changed),
@@ -65,30 +66,17 @@ def make_causal_tables(entries: Sequence[Entry]) -> list[Table]:
     """What each intervention changed, and how far robots listen."""
     untouched, *changed = entries
     reference = Row("untouched", {0: untouched})
-    rows = [Row(entry["policy"].rpartition(" | ")[2], {0: entry}) for entry in changed]
+    rows = [Row(name_of(entry), {0: entry}) for entry in changed]
     summary = untouched["listening"]
     table = Table(
         title="listening: what replaced messages would change, in untouched episodes",
-        caption=(
-            "Robots that hear a message. moved: mean |Q' - Q| over the spread of Q between\n"
-            "actions (a shift of all alike changes none); switched: the best action differs;\n"
-            f"kl, cic: nats, softmax at temperature {summary['temperature']}; cic: information\n"
-            f"between message and action, over {summary['messages']} messages."
-        ),
+        caption=CAPTION.format(**summary),
         caption_justify="left",
         box=box.SIMPLE_HEAD,
     )
-    columns = ("moved", "switched", "kl")
-    for title in ("replaced by", *columns, "cic"):
+    titles, *lines = listening_cells(summary)
+    for title in titles:
         table.add_column(title, justify="right", no_wrap=True)
-    for index, name in enumerate(("zero", "shuffle")):
-        cells = [_cell(summary[f"{name}_{column}"]) for column in columns]
-        table.add_row(name, *cells, _cell(summary["cic"]) if index else "")
+    for line in lines:
+        table.add_row(*line)
     return [make_paired_table(differences(rows, reference), reference), table]
-
-
-def _cell(estimated: dict[str, Any]) -> str:
-    if estimated["mean"] is None:
-        return "-"
-    low, high = estimated["ci95"]
-    return f"{estimated['mean']:.3f} [{low:.3f}, {high:.3f}]"

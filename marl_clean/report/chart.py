@@ -46,13 +46,15 @@ class Kind(Enum):
 class Axis:
     """One axis; ends that are None are those of what is drawn.
 
-    `names` label the places 0, 1, ..., of which 0 is on top of a vertical axis.
+    `names` label the places 0, 1, ..., of which 0 is on top of a vertical axis; `zero`: 0 is shown,
+    with a line of its own.
     """
 
     label: str = ""
     low: Number | None = None
     high: Number | None = None
     names: Sequence[str] = ()
+    zero: bool = False
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,8 @@ class Chart:
             parts.append(
                 f'<text x="{at}" y="{_short(bottom + 14)}" class="x">{escape(text)}</text>'
             )
+        if self.x.zero:
+            parts.append(f'<path class="axis" d="M{_short(x(0))} {TOP}V{_short(bottom)}"/>')
         for value, text in y_ticks.labels:
             at = _short(y(value))
             parts.append(f'<path class="grid" d="M{_short(left)} {at}H{right}"/>')
@@ -173,6 +177,7 @@ class _Scale:
 def _ticks(axis: Axis, values: Sequence[Number]) -> _Ticks:
     if axis.names:
         return _Ticks(-0.5, len(axis.names) - 0.5, list(enumerate(axis.names)))
+    values = [*values, 0] if axis.zero else values
     low = axis.low if axis.low is not None else min(values, default=0.0)
     high = axis.high if axis.high is not None else max(values, default=1.0)
     if high <= low:

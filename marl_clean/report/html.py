@@ -92,7 +92,7 @@ def _table(rows: Rows, caption: str) -> str:
         for first, *rest in body
     )
     return (
-        f'<div class="wide" tabindex="0"><table><caption>{escape(caption)}</caption>'
+        f'<div class="wide" tabindex="0"><table><caption><span>{escape(caption)}</span></caption>'
         f"<thead><tr>{titles}</tr></thead><tbody>{lines}</tbody></table></div>"
     )
 

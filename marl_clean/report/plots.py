@@ -4,7 +4,8 @@ Every seed is a dot or a thin line, every mean has its 95 % interval.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -37,18 +38,18 @@ class Shown:
     Attributes:
         label: its name on the page.
         pooled, seeds: the entries of its seeds, as one and each.
-        finished_by: the share of houses finished by a step, as `evaluation.row_statistics` has it.
+        statistics: its line of `evaluation.row_statistics`.
     """
 
     label: str
     pooled: Entry
     seeds: Sequence[Entry]
-    finished_by: Mapping[str, Sequence[float]]
+    statistics: Mapping[str, Any]
 
 
 def plots(rows: Sequence[Shown]) -> list[Plot]:
     """All plots of one world for which there are numbers."""
-    drawn = [times(rows), profile(rows), cost(rows)]
+    drawn = [times(rows), finished_by(rows), scores(rows), cost(rows)]
     return [plot for plot in drawn if plot is not None]
 
 
@@ -76,22 +77,64 @@ def times(rows: Sequence[Shown]) -> Plot:
     return Plot("Steps to clean 90, 95, 99 and 100 % of a house", chart, numbers)
 
 
-def profile(rows: Sequence[Shown]) -> Plot:
+def finished_by(rows: Sequence[Shown]) -> Plot:
     """The share of houses finished by each step, with pointwise bands."""
-    steps = rows[0].finished_by["grid"]
-    chart = Chart(Axis("steps", 0, steps[-1]), Axis("houses finished, %", 0, 100))
-    shown = range(0, len(steps), max(1, len(steps) // SHOWN_STEPS))
-    numbers = [["policy", *(f"{steps[place]:.0f}" for place in shown)]]
-    for index, row in enumerate(rows):
+    title = "Share of houses finished by a step"
+    return _shares(title, rows, "finished_by", Axis("steps"), "houses finished, %", "{:.0f}")
+
+
+def scores(rows: Sequence[Shown]) -> Plot:
+    """The performance profile: the share of houses with a score above each threshold."""
+    title = "Share of houses with a score above tau; score: bound_100 / T_100, 0 if not finished"
+    return _shares(title, rows, "profile", Axis("tau"), "houses, %", "{:.1f}")
+
+
+def _shares(
+    title: str, rows: Sequence[Shown], kind: str, x: Axis, y_label: str, number: str
+) -> Plot:
+    shown_rows = [(index, row) for index, row in enumerate(rows) if row.statistics[kind]]
+    grid = shown_rows[0][1].statistics[kind]["grid"] if shown_rows else [0.0, 1.0]
+    chart = Chart(replace(x, low=0, high=grid[-1]), Axis(y_label, 0, 100))
+    shown = range(0, len(grid), max(1, len(grid) // SHOWN_STEPS))
+    numbers = [["policy", *(number.format(grid[place]) for place in shown)]]
+    for index, row in shown_rows:
         share, low, high = (
-            [100 * value for value in row.finished_by[name]] for name in ("share", "low", "high")
+            [100 * value for value in row.statistics[kind][name]]
+            for name in ("share", "low", "high")
         )
         chart.names[index] = row.label
-        chart.band(index, steps, low, high)
-        chart.line(index, steps, share, title=row.label)
+        chart.band(index, grid, low, high)
+        chart.line(index, grid, share, title=row.label)
         cells = (f"{share[at]:.0f} [{low[at]:.0f}, {high[at]:.0f}] %" for at in shown)
         numbers.append([row.label, *cells])
-    return Plot("Share of houses finished by a step", chart, numbers)
+    return Plot(title, chart, numbers)
+
+
+def changes(shown: Mapping[str, Sequence[Mapping[str, Any]]], measure: str = "T_100") -> Plot:
+    """What each intervention adds to a time; `shown`: the paired differences of each row."""
+    names = list(dict.fromkeys(result["row"] for results in shown.values() for result in results))
+    height = max(HEIGHT, 46 + len(names) * (LANE * len(shown) + GAP))
+    chart = Chart(
+        Axis(f"{measure}, intervened minus untouched, steps", zero=True), Axis(names=names), height
+    )
+    numbers = [["policy", *names]]
+    lane = 0.8 / len(shown)
+    for index, (label, results) in enumerate(shown.items()):
+        chart.names[index] = label
+        cells = dict.fromkeys(names, "")
+        for result in results:
+            change = result[measure]
+            if change["mean"] is None:
+                continue
+            low, high = change["ci95"]
+            at = names.index(result["row"]) + (index - (len(shown) - 1) / 2) * lane
+            cell = f"{change['mean']:+.1f} [{low:+.1f}, {high:+.1f}]"
+            chart.line(index, [low, high], [at, at], Kind.SPAN)
+            title = f"{label}, {result['row']}: {cell}"
+            chart.line(index, [change["mean"]], [at], Kind.POINT, title)
+            cells[result["row"]] = cell
+        numbers.append([label, *cells.values()])
+    return Plot(f"What changed messages add to {measure}", chart, numbers)
 
 
 def curves(learnt: Mapping[str, Mapping[str, Mapping[str, Series]]]) -> list[Plot]:

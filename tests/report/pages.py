@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+NARROWEST = 500  # pixels of a window; a narrower page stands in a frame
 RESULT = re.compile(r'<pre id="result">(.*?)</pre>', re.DOTALL)
 
 
@@ -30,24 +31,45 @@ def ask(page: Path, script: str, width: int = 1000, fragment: str = "") -> tuple
     asking = f"""
 <script>
 window.addEventListener("load", () => {{
-  const result = document.createElement("pre");
-  result.id = "result";
   let found;
   try {{ found = (() => {{ {script} }})(); }} catch (error) {{ found = {{error: String(error)}}; }}
-  result.textContent = JSON.stringify(found);
+  const text = JSON.stringify(found);
+  if (window.parent !== window) return window.parent.postMessage(text, "*");
+  const result = document.createElement("pre");
+  result.id = "result";
+  result.textContent = text;
   document.body.append(result);
 }});
 </script>"""
-    copy = page.with_name(f"asked-{page.name}")
-    copy.write_text(page.read_text(encoding="utf-8").replace("</body>", f"{asking}</body>"))
+    asked = page.with_name(f"asked-{page.name}")
+    text = page.read_text(encoding="utf-8").replace("</body>", f"{asking}</body>")
+    asked.write_text(text, encoding="utf-8")
+    if width < NARROWEST:
+        asked = _framed(asked, width)
     command = [
         *(browser(), "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"),
-        *("--enable-logging=stderr", "--v=0", f"--window-size={width},900"),
+        *("--enable-logging=stderr", "--v=0", f"--window-size={max(width, NARROWEST)},900"),
         *("--virtual-time-budget=4000", f"--user-data-dir={page.parent / 'profile'}"),
-        copy.as_uri() + fragment,
+        asked.as_uri() + fragment,
     ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     match = RESULT.search(done.stdout)
     assert match is not None, done.stdout[-2000:]
     said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
     return json.loads(unescape(match[1])), "\n".join(said)
+
+
+def _framed(page: Path, width: int) -> Path:
+    """A page that shows another in a frame of this width, and writes down what it finds."""
+    frame = page.with_name(f"framed-{page.name}")
+    frame.write_text(
+        f"""<!doctype html><body><script>
+window.addEventListener("message", (event) => {{
+  const result = document.createElement("pre");
+  result.id = "result";
+  result.textContent = event.data;
+  document.body.append(result);
+}});
+</script><iframe src="{page.name}" style="border: 0; width: {width}px; height: 900px"></iframe>"""
+    )
+    return frame

@@ -111,3 +111,23 @@ def test_the_page_has_the_viewers_colours() -> None:
     for index, colour in enumerate(ROBOTS):
         assert f"--c{index}: #{bytes(colour).hex()};" in light
         assert len(re.findall(rf"--c{index}:", css)) == 2  # on light and on dark paper
+
+
+def luminance(colour: str) -> float:
+    """Of `#rrggbb`, as WCAG 2 defines it."""
+    parts = [part / 255 for part in bytes.fromhex(colour.removeprefix("#"))]
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+@pytest.mark.parametrize("paper", ["light", "dark"])
+def test_text_and_lines_have_contrast(paper: str) -> None:
+    """WCAG 2 AA: 4.5 for text, 3 for what is drawn."""
+    css = (ASSETS / "page.css").read_text(encoding="utf-8")
+    light, _, rest = css.partition("@media (prefers-color-scheme: dark)")
+    palette = dict(re.findall(r"--(\w+): (#[0-9a-f]{6});", light if paper == "light" else rest))
+    least = {"ink": 4.5, "faint": 4.5, "link": 4.5, **{f"c{row}": 3.0 for row in range(8)}}
+    for ground in ("paper", "panel"):
+        for name, ratio in least.items():
+            ends = sorted(luminance(palette[each]) + 0.05 for each in (name, ground))
+            assert ends[1] / ends[0] >= ratio, (paper, ground, name)

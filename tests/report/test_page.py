@@ -13,8 +13,10 @@ from marl_clean import build
 from marl_clean.commands import report
 from marl_clean.config.compose import compose_config
 from marl_clean.errors import BadInput
+from marl_clean.report.chart import Axis, Chart
 from marl_clean.report.episode import first_held_out
 from marl_clean.report.html import Part, render
+from marl_clean.report.plots import Plot
 from marl_clean.report.recorded import REPLAY
 from marl_clean.report.recording import make_recording, record
 from tests.commands.test_compare import write_run
@@ -24,15 +26,29 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("unchecked")]  # browser
 
 QUIET = Console(quiet=True)
 SMALL = ["house=rooms", "house.rows=[7,7]", "house.cols=[9,9]", "env.n_agents=3"]
-PAYLOADS = (
-    "</script><script>window.hacked=1</script>",
-    "<img src=x onerror=window.hacked=1>",
-    '"><svg onload=window.hacked=1>',
-    "'-window.hacked=1-'",
-    "javascript:window.hacked=1",
-    "<!--<script>window.hacked=1",
-    "]]><b>bold</b>&lt;i&gt;",
+HACK = "window.hacked=1"
+TAGS = ("script", "img", "svg", "iframe", "body", "style", "math", "details", "video", "a", "input")
+ATTRIBUTES = (
+    f"src=x onerror={HACK}",
+    f"onload={HACK}",
+    f"autofocus tabindex=0 onfocus={HACK}",
+    f"href=javascript:{HACK}",
+    f"open ontoggle={HACK}",
+    f"style=animation:x onanimationstart={HACK}",
 )
+ENDS = ("", '">', "'>", "</script>", "--></style></title>", "]]></svg></text></table>")
+PAYLOADS = (  # every tag after every end of what a name may stand in, with one of the attributes
+    *(
+        f"{end}<{tag} {ATTRIBUTES[(place + other) % len(ATTRIBUTES)]}>{HACK}</{tag}>"
+        for place, tag in enumerate(TAGS)
+        for other, end in enumerate(ENDS)
+    ),
+    *(f"'-{HACK}-'", f"javascript:{HACK}", f"<!--<script>{HACK}", "&lt;b&gt;&#60;i>", "\\u003cb>"),
+)
+COUNT = """
+  return [document.querySelectorAll("*").length, window.hacked === undefined,
+    document.body.textContent, document.title];
+"""
 
 
 def recordings() -> list[dict[str, Any]]:
@@ -158,32 +174,77 @@ def test_a_link_leads_to_a_moment(player: Path) -> None:
     assert nonsense[1:] == [0, ["0", "1"]] and said == ""
 
 
-def test_it_fits_a_narrow_screen(player: Path) -> None:
-    script = "return [document.documentElement.scrollWidth, window.innerWidth];"
-    (wide, window), _ = ask(player, script, width=500)
-    assert wide <= window
-
-
-@pytest.mark.parametrize("payload", PAYLOADS)
-def test_names_are_text_and_no_markup(
-    payload: str, tmp_path: Path, episodes: list[dict[str, Any]]
+def test_names_of_sixty_kinds_are_text_and_no_markup(
+    tmp_path: Path, episodes: list[dict[str, Any]]
 ) -> None:
-    named = [{**episode, "policy": payload} for episode in episodes]
-    rows = [[payload, payload], [payload, payload]]
-    part = Part(payload, payload, [(payload, rows)])
-    plain = Part("name", "name", [("name", [["name", "name"]] * 2)])
+    """Every place of a page that shows a name from a file, with all payloads and with none."""
+    assert len(set(PAYLOADS)) >= 60
+    plain = [f"name {index}" for index in range(len(PAYLOADS))]
+    found = {}
+    for kind, names in (("payloads", list(PAYLOADS)), ("plain", plain)):
+        chart = Chart(Axis(names[0]), Axis(names=names), names=dict(enumerate(names)))
+        for row, name in enumerate(names):
+            chart.line(row, [0, row], [row, row], title=name)
+        plots = [Plot(names[0], chart, [[name] * 2 for name in names])]
+        parts = [Part(name, name, [(name, [names[:2], [name] * 2])], plots) for name in names[:3]]
+        parts += [Part(name, name, [(name, [[name] * 2] * 2)]) for name in names[3:]]
+        named = [{**episodes[0], "policy": name} for name in names]
+        page = tmp_path / f"{kind}.html"
+        page.write_text(render(names[1], names, parts, named), encoding="utf-8")
+        found[kind], said = ask(page, COUNT)
+        assert said == "" and found[kind][1]
+    assert found["payloads"][0] == found["plain"][0]
+    assert found["payloads"][3] == PAYLOADS[1]
+    assert all(payload in found["payloads"][2] for payload in PAYLOADS)
+
+
+def test_files_with_sixty_kinds_of_names_make_no_markup(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The planners of a run, its set of houses and their paths, as a stranger's file names them."""
+    monkeypatch.chdir(tmp_path)
     counts = []
-    script = """
-      return [document.querySelectorAll("*").length, window.hacked === undefined,
-        document.querySelectorAll("img, svg, b").length];
-    """
-    for title, parts, shown in ((payload, [part], named), ("name", [plain], episodes)):
-        page = tmp_path / "page.html"
-        page.write_text(render(title, [title], parts, shown), encoding="utf-8")
-        found, said = ask(page, script)
-        assert found[1:] == [True, 0] and said == ""
+    for kind in ("payloads", "plain"):
+        names = [name if kind == "payloads" else "name" for name in PAYLOADS]
+        run = Path(write_run(tmp_path / kind, [], [40, 60]))
+        own, rival = json.loads((run / "evaluation.json").read_text())
+        for entry in (own, rival):
+            entry["house_set"] = names[0]
+            for house, path in zip(entry["houses"], names, strict=False):
+                house["path"] = path
+        rivals = [{**rival, "policy": f"{name}{index}"} for index, name in enumerate(names)]
+        (run / "evaluation.json").write_text(json.dumps([own, rival, *rivals]))
+        page = report.main([str(run)], tmp_path / f"{kind}.html", QUIET)
+        found, said = ask(page, COUNT)
+        assert said == "" and found[1]
+        assert all(f"{name}{index}" in found[2] for index, name in enumerate(names))
         counts.append(found[0])
     assert counts[0] == counts[1]
+
+
+def test_two_settings_with_one_label_stay_apart(tmp_path: Path) -> None:
+    """In worlds of their own both are called by what their runs' names share."""
+    runs = [
+        write_run(tmp_path / f"any-{index}", [f"env.decay_steps={steps}"], [40, 60], 10 * index)
+        for index, steps in enumerate((200, 100))
+    ]
+    for index, run in enumerate(runs):
+        entries = Path(run, "evaluation.json")
+        text = entries.read_text().replace(f"any-{index}", "any")
+        entries.write_text(text)
+        config = Path(run, "config.yaml")
+        config.write_text(config.read_text().replace(f"any-{index}", "any"))
+    names, settings = report.names_of(report.gather(runs).values())
+    assert names == [{"any": "A"}, {"any": "B"}]
+    assert settings == [["policy", "env.decay_steps"], ["A", "200"], ["B", "100"]]
+
+
+def test_it_fits_a_narrow_screen(player: Path) -> None:
+    script = """
+      return [document.documentElement.scrollWidth, window.innerWidth, document.body.scrollWidth];
+    """
+    (wide, window, body), said = ask(player, script, width=400)
+    assert window == 400 and max(wide, body) <= 400 and said == ""
 
 
 def test_a_report_of_runs_shows_their_numbers_and_asks_nobody(
@@ -233,8 +294,23 @@ def test_a_report_of_runs_shows_their_numbers_and_asks_nobody(
     # The houses of both seeds, the unfinished one at its max_steps.
     assert measures[1][4].startswith(f"{(40 + 60 + 80 + 250) / 4:.1f} [")
     assert measures[1][1] == "75.0 %" and measures[3][4].startswith("50.0 [")
-    assert tables["Settings"][1] == ["comm", "plan", "none"]
+    assert tables["Settings"] == [["policy", "comm"], ["comm=plan", "plan"], ["comm=none", "none"]]
     assert "comm=plan" in [row[0] for row in tables["T_100 on validation houses while learning"]]
+    # One run's cells are those of its file.
+    own = json.loads(Path(runs[2], "evaluation.json").read_text())[0]["summary"]
+    [silent] = [row for row in measures if row[0] == "comm=none"]
+    for column, measure in ((2, "T_90"), (4, "T_100")):
+        low, high = own[measure]["ci95"]
+        assert silent[column] == f"{own[measure]['mean']:.1f} [{low:.1f}, {high:.1f}]"
+    assert silent[6:] == ["100.0 %", f"{own['redundancy']['mean']:.2f}"]
+    # Wide tables scroll by themselves, and with the keyboard.
+    narrow = """
+      const wide = [...document.querySelectorAll(".wide")];
+      return [document.documentElement.scrollWidth, window.innerWidth, document.body.scrollWidth,
+        wide.every((each) => each.tabIndex === 0)];
+    """
+    (page_width, window, body, scrolls), _ = ask(page.resolve(), narrow, width=400)
+    assert window == 400 and max(page_width, body) <= 400 and scrolls
 
 
 def test_no_finished_run_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
