@@ -4,11 +4,11 @@ import sys
 
 from rich.console import Console
 
-from marl_clean.commands._study import Study, pruner_of
+from marl_clean.commands._study import Study, alone, pruner_of
 from marl_clean.commands._trial import run_trial
 from marl_clean.commands._trials import TABLE, print_trials, write_trials
 from marl_clean.commands.tune import Plan
-from marl_clean.storage.lock import Held, locked
+from marl_clean.storage.lock import Held
 
 
 def search(plan: Plan, console: Console) -> int:
@@ -29,7 +29,7 @@ def search(plan: Plan, console: Console) -> int:
     try:
         while (number := study.next_trial(settings.trials, held)) is not None:
             try:
-                with locked(plan.folder / f"trial-{number}"):
+                with alone(plan.folder / f"trial-{number}"):
                     work_on(number, study, plan)
             except Held as error:
                 held.add(number)

@@ -1,8 +1,9 @@
 """A search in Optuna: trials asked for, told and read, in `runs/tune/<name>/study.db`."""
 
 import hashlib
+import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,11 @@ from marl_clean.commands._space import Dimension
 from marl_clean.commands._tune_settings import Direction
 from marl_clean.config.hydra_adapter import first_line
 from marl_clean.errors import BadInput
+from marl_clean.storage.lock import Held, locked
 
 DATABASE = "study.db"
 IDENTITY = "searches"  # attribute of a study: what makes it another study
+OPENING_TRIES, OPENING_PAUSE_SECONDS = 60, 0.5
 ENDED = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL)
 OF_STORAGE: tuple[type[Exception], ...] = (SQLAlchemyError, optuna.exceptions.OptunaError, OSError)
 
@@ -52,7 +55,7 @@ class Study:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise BadInput(f"{folder} cannot be made: {error.strerror}") from None
-        with self._readable((Exception,)):  # Alembic raises what it likes
+        with opening(folder), self._readable((Exception,)):  # Alembic raises what it likes
             self.study = optuna.create_study(
                 storage=f"sqlite:///{self.path}",
                 study_name="tune",
@@ -122,6 +125,31 @@ class Study:
             return ""
         [dimension] = [d for d in self.dimensions if d.key == key]
         return _text(dimension, trial.params[key])
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder that has nothing else in it. Raises Held as `locked` does."""
+    try:
+        with locked(folder):
+            yield
+    finally:
+        with suppress(OSError):
+            folder.rmdir()  # which another process may have made
+
+
+@contextmanager
+def opening(folder: Path) -> Iterator[None]:
+    """Wait until no other process opens the database: two that make its tables at once fail."""
+    for attempt in range(OPENING_TRIES):
+        try:
+            with alone(folder / "opening"):
+                yield
+                return
+        except Held:
+            if attempt + 1 == OPENING_TRIES:
+                raise
+            time.sleep(OPENING_PAUSE_SECONDS)
 
 
 class OpenTrial:

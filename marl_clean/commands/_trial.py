@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 from marl_clean.commands._job import note_failure
 from marl_clean.commands._space import Space
 from marl_clean.commands._study import OpenTrial
-from marl_clean.commands._tune_settings import VALIDATION, Measure
+from marl_clean.commands._tune_settings import MINIMISE, VALIDATION, Measure
 from marl_clean.commands.checks import check_all
 from marl_clean.commands.run_info import FAILED, LOG, last_frames
 from marl_clean.config.stored import METRICS, RUNS
@@ -120,7 +120,7 @@ def _value_of(trial: OpenTrial, config: DictConfig, measure: Measure, reports: b
         trainer = config.trainer
         report = Report(trial, measure.column, trainer.eval_interval_frames, trainer.total_frames)
         try:
-            best = train.train(config, folder, [report] if reports else []).best
+            train.train(config, folder, [report] if reports else [])
         except (Pruned, Held):
             raise
         except (SystemExit, KeyboardInterrupt):
@@ -131,12 +131,7 @@ def _value_of(trial: OpenTrial, config: DictConfig, measure: Measure, reports: b
             raise
         if reports:
             _report_logged(folder, report)
-        value = (best or {}).get(measure.name) if measure.of_validation else None
-        if not measure.of_validation:
-            value = last_logged(folder, measure.column)
-        if value is None or not math.isfinite(value):
-            raise BadInput(f"tune.measure={measure.name}: {folder} has no value of it: {value}")
-        return float(value)
+        return logged_value(folder, measure)
 
 
 def _check_deaths(trial: OpenTrial, folder: Path) -> None:
@@ -170,10 +165,17 @@ def _report_logged(folder: Path, report: Report) -> None:
             continue
 
 
-def last_logged(folder: Path, column: str) -> float | None:
-    """The last value of a column of metrics.csv; None without one."""
-    values = [float(row[column]) for row in _rows(folder) if row.get(column)]
-    return values[-1] if values else None
+def logged_value(folder: Path, measure: Measure) -> float:
+    """A run's value by its metrics.csv: the best evaluation, or the last of another column.
+
+    Raises BadInput where it has none.
+    """
+    values = [float(row[measure.column]) for row in _rows(folder) if row.get(measure.column)]
+    values = [value for value in values if math.isfinite(value)]
+    if not values:
+        raise BadInput(f"tune.measure={measure.name}: {folder / METRICS} has no value of it")
+    best = min if measure.direction == MINIMISE else max
+    return best(values) if measure.of_validation else values[-1]
 
 
 def _rows(folder: Path) -> list[dict[str, str]]:

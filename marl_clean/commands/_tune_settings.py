@@ -74,8 +74,8 @@ class Measure:
     Attributes:
         name: as the user gives it.
         column: of metrics.csv.
-        of_validation: whether it is a mean over validation houses; then a run's value is that of
-            the weights that it keeps, else the last in metrics.csv.
+        of_validation: whether it is a mean over validation houses; then a run's value is its best
+            evaluation, else the last in metrics.csv.
     """
 
     name: str
@@ -117,8 +117,8 @@ def measure_of(settings: TuneSettings, config: DictConfig) -> Measure:
     own_agent = config.agent._target_.startswith(f"{packages()[0].name}.")
     if not of_validation and (bare != name or own_agent) and name not in COLUMNS:
         raise BadInput(f"{key}: no such measure; {choices(bare, (*validated, *COLUMNS))}")
-    if not of_validation and "csv" not in (config.logger or ()):
-        raise BadInput(f"{key}: is read from metrics.csv, which needs logger=csv")
+    if "csv" not in (config.logger or ()):
+        raise BadInput("logger: a search reads metrics.csv; add csv, as in logger=[csv]")
     direction = settings.direction
     if direction is None and bare not in (*HIGHER_IS_BETTER, *LOWER_IS_BETTER):
         raise BadInput(f"{key}: give {PREFIX}direction={MINIMISE} or {MAXIMISE} with it")

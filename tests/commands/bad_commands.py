@@ -66,7 +66,7 @@ MORE_BAD_COMMANDS = {
     "tune seed=1,2 tune.seeds=2": "tune.seeds=2: seed is searched itself",
     "tune seed=1,2 tune.measure=T_91": "no such measure; did you mean T_99?",
     "tune seed=1,2 tune.measure=contact": "give tune.direction=minimize or maximize",
-    "tune seed=1,2 tune.measure=loss logger=tensorboard": "needs logger=csv",
+    "tune seed=1,2 logger=[tensorboard]": "add csv, as in logger=[csv]",
     "tune seed=1,2 tune.name=../x": "tune.name: must be a folder's name",
     "tune seed=1,2 hydra.job.name=x": "Hydra's own settings are for `train -m`",
     "tune seed=1,2 +experiment=spread tune.measure=T_90": "tune.measure=T_90: no such measure",

@@ -60,7 +60,7 @@ class Trainings:
                 raise Killed
             for logger in more_loggers:
                 logger.log(frames, {"loss": number / 2, "validation/T_90": value})
-        return Outcome(frames, 1, {"frames": frames, "T_90": final}, False)
+        return Outcome(frames, 1, None, False)
 
 
 @pytest.fixture
@@ -100,6 +100,7 @@ def test_a_search_and_the_same_command_again(trainings):
     command = f"  marl-clean train -m agent.lr={best['agent.lr']} "
     assert next(line for line in lines if line.startswith(command)).endswith("seed=1,2,3,4,5")
     assert "3 trials: 3 complete; all in runs/tune/a/trials.csv" in table
+    assert {path.name for path in Path("runs/tune/a").iterdir()} == {"study.db", "trials.csv"}
     assert (Path("runs") / best["runs"] / "config.yaml").is_file()
 
     assert search(LR, "tune.trials=3", "tune.name=a") == (code, table)
@@ -183,7 +184,7 @@ def test_a_column_of_metrics_csv(trainings):
     code, table = search(LR, "tune.measure=loss", "tune.trials=1", "tune.name=a")
     assert code == 0 and trials("a")[0]["loss"] == "2.0"
     code, table = search(LR, "tune.measure=stage", "tune.direction=maximize", "tune.trials=1")
-    assert code == 1 and "has no value of it: None" in table
+    assert code == 1 and "metrics.csv has no value of it" in table
 
 
 @pytest.mark.slow
@@ -198,6 +199,16 @@ def test_a_run_that_another_process_trains_is_left_to_it(trainings, capsys):
     assert code == 1 and "1 trials: 1 unfinished" in table
     assert "left to another process" in capsys.readouterr().err
     assert search(LR, "tune.trials=1", "tune.name=b")[0] == 0
+
+
+@pytest.mark.slow
+def test_a_database_is_opened_by_one_process_at_a_time(trainings, monkeypatch):
+    from marl_clean.commands import _study
+
+    monkeypatch.setattr(_study, "OPENING_TRIES", 1)
+    with locked(Path("runs/tune/a/opening")), pytest.raises(BadInput, match="opening: held by"):
+        search(LR, "tune.trials=1", "tune.name=a")
+    assert search(LR, "tune.trials=1", "tune.name=a")[0] == 0
 
 
 @pytest.mark.slow
