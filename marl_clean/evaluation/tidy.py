@@ -1,4 +1,4 @@
-"""`tidy.csv`: a comparison in long format, one line for each policy, seed, house and measure.
+"""`tidy.csv`: a comparison as tidy data, one line for each policy, seed and house.
 
 | column | is |
 |---|---|
@@ -10,7 +10,9 @@
 | `policy`, `seed` | the run's name and seed; no seed for a planner |
 | `house_set`, `n_agents`, `epsilon`, `config_hash`, `schema`, `rules` | as in evaluation.json, where `rules` is `world`, the version of the rules |
 | `house`, `houses` | the place of the house in its set, from 0, and the size of the set |
-| `measure`, `value` | a measure or a property of the house (`seed`, `rows`, `max_steps`, ...); an empty value is null, as for a time not reached |
+| all others | a measure (`T_100`) or a property of the house (`rows`, `max_steps`; its seed is `house_seed`) |
+
+`NA` is null, as for a time not reached; an empty cell was not measured. pandas and R read both as missing.
 """  # noqa: E501
 
 import csv
@@ -33,15 +35,20 @@ from marl_clean.evaluation.measured import (
 NAME = "tidy.csv"
 ABOUT = ("world", "setting", "row", "silent", "parameters", "policy", "seed")
 ENTRY = ("house_set", "n_agents", "epsilon", "config_hash", "schema", "rules")
-COLUMNS = (*ABOUT, *ENTRY, "house", "houses", "measure", "value")
+FIXED = (*ABOUT, *ENTRY, "house", "houses")
+OF_HOUSE = "house_"  # before a property of a house whose name is a column of another meaning
 TEXTS = ("path",)  # properties of a house that are no number
+NULL = "NA"
 
 
 def to_tidy(measured: Sequence[Measured]) -> str:
     """The text of tidy.csv."""
+    names = dict.fromkeys(
+        name for item in measured for house in item.entry["houses"] for name in house
+    )
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    writer.writerow([*FIXED, *map(_column, names)])
     for item in measured:
         entry = item.entry
         about = [item.world, item.setting, item.label, int(item.silent), item.parameters]
@@ -49,10 +56,25 @@ def to_tidy(measured: Sequence[Measured]) -> str:
         about += [repr(entry["epsilon"]), entry["config_hash"], entry["schema"], entry["world"]]
         size = len(entry["houses"])
         for place, house in enumerate(entry["houses"]):
-            for name, value in house.items():
-                shown = value if isinstance(value, str | None) else repr(value)
-                writer.writerow([*about, place, size, name, shown])
+            cells = [_cell(house[name]) if name in house else "" for name in names]
+            writer.writerow([*about, place, size, *cells])
     return text.getvalue()
+
+
+def _cell(value: float | int | str | None) -> str:
+    if value is None:
+        return NULL
+    return value if isinstance(value, str) else repr(value)
+
+
+def _column(name: str) -> str:
+    """The column of a property of houses; another than that of what is said of the whole entry."""
+    return f"{OF_HOUSE}{name}" if name in FIXED or name.startswith(OF_HOUSE) else name
+
+
+def _property(column: str) -> str:
+    """The property of houses that stands in a column."""
+    return column.removeprefix(OF_HOUSE)
 
 
 def read_tidy(path: Path) -> list[Measured]:
@@ -62,9 +84,11 @@ def read_tidy(path: Path) -> list[Measured]:
     """
     lines = csv.reader(io.StringIO(read_text(path), newline=""), strict=True)
     try:
-        if tuple(next(lines)) != COLUMNS:
+        columns = next(lines)
+        names = [_property(column) for column in columns[len(FIXED) :]]
+        if tuple(columns[: len(FIXED)]) != FIXED or len({*names}) < len(names) or not names:
             raise BadInput(f"{path}: has other columns than {NAME} of `compare --export`")
-        groups = _groups(path, lines)
+        groups = _groups(path, lines, names)
     except csv.Error as error:
         raise BadInput(
             f"{path}: line {lines.line_num}: {error}; half-written, or no csv"
@@ -78,22 +102,33 @@ def read_tidy(path: Path) -> list[Measured]:
     return result
 
 
-def _groups(path: Path, lines: Any) -> dict[tuple[str, ...], dict[str, dict[str, Any]]]:
+def _groups(
+    path: Path, lines: Any, names: Sequence[str]
+) -> dict[tuple[str, ...], dict[str, dict[str, Any]]]:
     """The values of each entry, by house and measure; entries by what is said about them."""
     groups: dict[tuple[str, ...], dict[str, dict[str, Any]]] = {}
     for line in lines:
-        if len(line) != len(COLUMNS):
-            raise BadInput(f"{path}: line {lines.line_num}: not {len(COLUMNS)} cells; half-written")
-        *about, house, size, measure, value = line
-        values = groups.setdefault((*about, size), {}).setdefault(house, {})
-        if measure in values:
-            raise BadInput(f"{path}: line {lines.line_num}: {measure} of this house stands twice")
-        try:
-            values[measure] = value if measure in TEXTS and value else _number(value)
-        except ValueError:
-            reason = f"{path}: line {lines.line_num}: {measure}: {value[:40]!r} is no number"
-            raise BadInput(reason) from None
+        if len(line) != len(FIXED) + len(names):
+            reason = f"not {len(FIXED) + len(names)} cells; half-written"
+            raise BadInput(f"{path}: line {lines.line_num}: {reason}")
+        about, (house, size) = line[: len(FIXED) - 2], line[len(FIXED) - 2 : len(FIXED)]
+        houses = groups.setdefault((*about, size), {})
+        if house in houses:
+            raise BadInput(f"{path}: line {lines.line_num}: this house of the run stands twice")
+        houses[house] = values = {}
+        for name, text in zip(names, line[len(FIXED) :], strict=True):
+            if not text:
+                continue
+            try:
+                values[name] = text if name in TEXTS and text != NULL else _value(text)
+            except ValueError:
+                reason = f"{path}: line {lines.line_num}: {name}: {text[:40]!r} is no number"
+                raise BadInput(reason) from None
     return groups
+
+
+def _value(text: str) -> int | float | None:
+    return None if text == NULL else _number(text)
 
 
 def _measured(path: Path, fields: dict[str, str], houses: dict[str, dict[str, Any]]) -> Measured:

@@ -10,6 +10,9 @@ from rich.console import Console
 
 from marl_clean.commands import compare
 from marl_clean.errors import BadInput
+from marl_clean.evaluation.measured import Measured
+from marl_clean.evaluation.records import SHOWN, make_entry
+from marl_clean.evaluation.tidy import read_tidy, to_tidy
 from tests.commands.test_compare import QUIET, write_run
 from tests.families import family
 
@@ -80,14 +83,30 @@ def test_an_export_and_folders_are_compared_together(runs: list[str], tmp_path: 
     assert rows[0]["policy"] == "plan-s0 (2 seeds)"
 
 
-def test_tidy_has_a_line_for_each_house_and_measure(exported: Path) -> None:
+def test_tidy_has_a_line_for_each_house_and_a_column_for_each_measure(exported: Path) -> None:
     with (exported / "tidy.csv").open(newline="") as file:
         lines = list(csv.DictReader(file))
-    times = [
-        line["value"] for line in lines if (line["policy"], line["measure"]) == ("plan-s1", "T_100")
-    ]
-    assert times == ["80", ""]
+    own = [line for line in lines if line["policy"] == "plan-s1"]
+    assert [line["T_100"] for line in own] == ["80", "NA"]
+    assert [line["house_seed"] for line in own] == ["7", "8"] and own[0]["seed"] == "1"
     assert {line["row"] for line in lines if line["policy"] == "none-s0"} == {"comm=none"}
+
+
+def test_tidy_tells_null_from_what_was_not_measured(tmp_path: Path) -> None:
+    """And keeps the properties of houses whose names are columns of the whole entry."""
+    house = {"seed": 3, "row": 1, "house_seed": 2, "T_100": None, "T_90": 0.1 + 0.2, "path": "a,b"}
+    other = {"seed": 4, "T_100": 5, "T_certify": None, "return": -1.5e-7}
+    whole = {"max_steps": 9, **dict.fromkeys(SHOWN, 1), **{f"bound_{n}": 1 for n in (90, 100)}}
+    measured = [
+        Measured(
+            f"world {index}", None, None, make_entry(f"p{index}", "test", "hash", 0.0, 2, houses)
+        )
+        for index, houses in enumerate(([{**whole, **house}] * 2, [{**whole, **other}]))
+    ]
+    path = tmp_path / "tidy.csv"
+    path.write_text(to_tidy(measured))
+    read = [item.entry["houses"] for item in read_tidy(path)]
+    assert read == [item.entry["houses"] for item in measured]
 
 
 def test_marl_eval_has_steps_and_absolute_metrics(exported: Path) -> None:
