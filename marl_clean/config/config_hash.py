@@ -25,6 +25,7 @@ LATER: dict[str, Any] = {
     "agent.play": "argmax",
     "agent.critic": None,
     "agent.critic_memory": "none",
+    "agent.normalize_value": False,
     "evaluation.sides": [],
 }
 """Keys added later, each with the value that reproduces what was before there was a key."""

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
+from torchrl.modules import PopArtValueNorm
 
 from marl_clean import keys
 from marl_clean.encoder.base import Encoder
@@ -61,7 +62,10 @@ class Critic(nn.Module):
         state:  V_i = head(relu(W [h_i, g(s)])),                           s the true state
 
     It has its own encoder and does not communicate; it works for any number of robots and size of
-    house. With `memory=gru` the argument of W goes through a GRU of its own first.
+    house. With `memory=gru` the argument of W goes through a GRU of its own first. With
+    `normalises` the head returns values less their running mean, over their running deviation:
+    what is far ahead then counts as numbers of the size that networks are initialised for. Source:
+    arXiv 2103.01955, section 5.1.
     """
 
     def __init__(
@@ -71,6 +75,7 @@ class Critic(nn.Module):
         precision: Precision,
         memory: Recurrence = "none",
         state_shape: torch.Size | None = None,
+        normalises: bool = False,
     ) -> None:
         super().__init__()
         self.encoder, self.knows = _fresh(encoder), knows
@@ -79,6 +84,7 @@ class Critic(nn.Module):
         joined = width if knows == "local" else 2 * width
         self.head = nn.Sequential(nn.Linear(joined, width), nn.ReLU(), nn.Linear(width, 1))
         self.memory = nn.GRUCell(joined, joined) if memory == "gru" else None
+        self.norm = PopArtValueNorm(shape=1) if normalises else None
         if knows == "state":
             assert state_shape is not None
             self.state = StateEncoder(state_shape[0], width)
@@ -91,7 +97,12 @@ class Critic(nn.Module):
         state: Bool[Tensor, "*batch plane row col"] | None = None,
     ) -> Float[Tensor, "*batch agent 1"]:
         """Return values without a memory."""
-        return self.head(self.features(observation, state))
+        return self.value(self.features(observation, state))
+
+    def value(self, feature: Float[Tensor, "*batch joined"]) -> Float[Tensor, "*batch 1"]:
+        """Return the values of states with these features, in units of the reward."""
+        value = self.head(feature)
+        return value if self.norm is None else self.norm.denormalize(value)
 
     def features(
         self,
@@ -129,7 +140,7 @@ class Critic(nn.Module):
             hidden = self.remember(feature[:, t], hidden)
             after.append(hidden)
         remembered = torch.stack(after, dim=1)
-        return Unrolled(self.head(remembered), torch.stack(before, dim=1), remembered)
+        return Unrolled(self.value(remembered), torch.stack(before, dim=1), remembered)
 
     def no_memory(self, frames: TensorDictBase) -> Float[Tensor, "env agent joined"]:
         """Return the zero memory at the start of an episode, for frames `[env, time]`."""

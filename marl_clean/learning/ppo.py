@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.distributions import Categorical
 from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
-from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives import MAPPOLoss
 from torchrl.objectives.value import GAE
 
 from marl_clean import keys
@@ -81,6 +81,7 @@ class Ppo(Agent):
             channels to draw by: a pure function of seed, env, episode, step and robot.
         critic: what the critic knows, see `Critic`; null: as the level says.
         critic_memory: `gru`: the critic remembers, whether or not the policy does.
+        normalize_value: the critic's values and their targets, by their running mean and deviation.
         state_shape: of the true state, for a critic that knows it.
         n_agents: robots in a world.
         num_actions: actions of a robot.
@@ -89,7 +90,7 @@ class Ppo(Agent):
 
     fits = {"trainer": ["on_policy"]}
     knows: ClassVar[Knows]  # what the critic knows where `critic` does not say it
-    loss_class: ClassVar[type[ClipPPOLoss]]
+    loss_class: ClassVar[type[MAPPOLoss]]
 
     network: RobotsNetwork
 
@@ -115,6 +116,7 @@ class Ppo(Agent):
         play: Play = "argmax",
         critic: Literal["local", "robots", "state"] | None = None,
         critic_memory: Recurrence = "none",
+        normalize_value: bool = False,
         gamma_end: Probability | None = None,
         gamma_rises_with: RisesWith = "progress",
         state_shape: torch.Size | None = None,
@@ -130,7 +132,7 @@ class Ppo(Agent):
         self.entropy_coeff = entropy_coeff
         self.entropy_coeff_end = entropy_coeff if entropy_coeff_end is None else entropy_coeff_end
         knows = self.knows if critic is None else critic
-        valuing = Critic(encoder, knows, precision, critic_memory, state_shape)
+        valuing = Critic(encoder, knows, precision, critic_memory, state_shape, normalize_value)
         network = RobotsNetwork(encoder, comm, num_actions, precision, channels, mask_walls)
         if zero_head:
             for weight in network.head.parameters():
@@ -145,6 +147,7 @@ class Ppo(Agent):
             critic_coeff=critic_coeff,
             loss_critic_type=critic_loss,
             normalize_advantage=normalize_advantage,
+            value_norm=self.critic.norm,
         )
         self._advantages = GAE(gamma=gamma, lmbda=lmbda, value_network=None)
         of_values = {
@@ -247,7 +250,7 @@ class Ppo(Agent):
             feature = critic.remember(feature, after[last])
             frames[keys.CRITIC_HIDDEN], self._critic_hidden = before, after[:, -1]
         later = value.roll(-1, dims=1)
-        later[last] = critic.head(feature)
+        later[last] = critic.value(feature)
         frames[keys.STATE_VALUE], frames["next", keys.STATE_VALUE] = value, later
 
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:

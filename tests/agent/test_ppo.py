@@ -101,6 +101,28 @@ def test_the_contract_with_other_critics(critic: str, memory: str) -> None:
 
 
 @pytest.mark.slow
+def test_the_contract_with_normalised_values() -> None:
+    check_agent("ippo", precision="float32", normalize_value=True, critic_memory="gru")
+
+
+def test_normalised_values_are_in_units_of_the_reward_and_soon_of_its_size() -> None:
+    batch = transitions(10)
+    batch[keys.LOG_PROB] = torch.full((10, 2), 0.25).log()
+    batch[keys.ADVANTAGE] = torch.zeros(10, 2, 1)
+    batch[keys.VALUE_TARGET] = torch.tensor([250.0, 350.0]).view(1, 2, 1).expand(10, 2, 1).clone()
+    errors = {}
+    for normalises in (True, False):
+        torch.manual_seed(0)
+        agent = make_learner("ippo", "plan", normalize_value=normalises)
+        for _ in range(20):
+            loss = agent.update(batch.clone())["loss_critic"]
+        value = agent.critic(batch[keys.OBSERVATION])
+        errors[normalises] = (value - batch[keys.VALUE_TARGET]).abs().mean().item()
+    assert loss > 100 and errors[False] > 250  # a network as it is initialised is near 0
+    assert errors[True] < 55
+
+
+@pytest.mark.slow
 def test_the_contract_with_sampled_actions() -> None:
     check_agent("mappo", precision="float32", play="sampled", zero_head=True)
 
