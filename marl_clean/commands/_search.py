@@ -49,7 +49,8 @@ def work_on(number: int, study: Study, plan: Plan) -> None:
         return
     values = " ".join(f"{key}={value}" for key, value in trial.values.items())
     say(f"trial {number} of {plan.settings.trials}: {values}")
-    ended = run_trial(trial, plan.space, plan.measure, plan.settings.seeds)
+    settings = plan.settings
+    ended = run_trial(trial, plan.space, plan.measure, settings.seeds, settings.prune_from)
     if ended.value is not None:
         say(f"trial {number}: {plan.measure.name} {ended.value:.4g}")
     else:

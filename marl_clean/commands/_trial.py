@@ -49,14 +49,14 @@ class Report(Logger):
         trial: that is told.
         column: of a row of metrics.csv.
         interval_frames: between evaluations; the trial's steps are counted in it.
-        total_frames: of the run, at which it is not stopped any more.
+        stops: frames between which the run may be stopped, the second excluded.
     """
 
     def __init__(
-        self, trial: OpenTrial, column: str, interval_frames: int, total_frames: int
+        self, trial: OpenTrial, column: str, interval_frames: int, stops: tuple[float, float]
     ) -> None:
         self.trial, self.column = trial, column
-        self.interval_frames, self.total_frames = interval_frames, total_frames
+        self.interval_frames, self.stops = interval_frames, stops
 
     def resume(self, frames: int) -> None:
         """What an earlier process has told stands: a resumed run measures the same."""
@@ -67,15 +67,20 @@ class Report(Logger):
         if not evaluated or value is None or not math.isfinite(value):
             return
         self.trial.report(frames // self.interval_frames, float(value))
-        if frames < self.total_frames and self.trial.should_stop():
+        first, end = self.stops
+        if first <= frames < end and self.trial.should_stop():
             raise Pruned
 
     def close(self) -> None:
         """Everything is told at once."""
 
 
-def run_trial(trial: OpenTrial, space: Space, measure: Measure, seeds: int) -> Ended:
+def run_trial(
+    trial: OpenTrial, space: Space, measure: Measure, seeds: int, prune_from: float
+) -> Ended:
     """Train what is missing of a trial's runs, and tell the trial its value or its failure.
+
+    `prune_from`: share of a run's frames before which it is not stopped.
 
     Raises:
         Held: another process trains one of the runs; the trial is left as it is.
@@ -89,7 +94,11 @@ def run_trial(trial: OpenTrial, space: Space, measure: Measure, seeds: int) -> E
         trial.note("runs", [config.name for config in named])
         for number, config in enumerate(named):
             check_all(config, training=True)
-            values.append(_value_of(trial, config, measure, reports=number == 0))
+            total = config.trainer.total_frames
+            interval = config.trainer.eval_interval_frames
+            stops = (prune_from * total, float(total))
+            report = Report(trial, measure.column, interval, stops)
+            values.append(_value_of(trial, config, measure, report if number == 0 else None))
     except Held:
         raise
     except Pruned:
@@ -109,7 +118,9 @@ def _failed(trial: OpenTrial, reason: str) -> Ended:
     return Ended(None, " ".join(reason.split()))
 
 
-def _value_of(trial: OpenTrial, config: DictConfig, measure: Measure, reports: bool) -> float:
+def _value_of(
+    trial: OpenTrial, config: DictConfig, measure: Measure, report: Report | None
+) -> float:
     """Train a run, or what is left of it, and return its measure."""
     from marl_clean.commands import train
 
@@ -117,10 +128,8 @@ def _value_of(trial: OpenTrial, config: DictConfig, measure: Measure, reports: b
     with locked(folder):
         _check_deaths(trial, folder)
         (folder / FAILED).unlink(missing_ok=True)
-        trainer = config.trainer
-        report = Report(trial, measure.column, trainer.eval_interval_frames, trainer.total_frames)
         try:
-            train.train(config, folder, [report] if reports else [])
+            train.train(config, folder, [] if report is None else [report])
         except (Pruned, Held):
             raise
         except (SystemExit, KeyboardInterrupt):
@@ -129,7 +138,7 @@ def _value_of(trial: OpenTrial, config: DictConfig, measure: Measure, reports: b
         except Exception as error:
             _note_failure(folder, error, trial)
             raise
-        if reports:
+        if report is not None:
             _report_logged(folder, report)
         return logged_value(folder, measure)
 

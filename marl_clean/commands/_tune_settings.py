@@ -10,10 +10,10 @@ from pydantic import Field
 from marl_clean.config.compose import has_houses
 from marl_clean.config.locate import packages
 from marl_clean.config.overrides import check_single_values, parse_overrides
-from marl_clean.config.schema import choices, problems_of_mapping
+from marl_clean.config.schema import choices, convert, problems_of_mapping
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.records import MEASURES
-from marl_clean.settings import FolderName, PositiveInt, Seed
+from marl_clean.settings import FolderName, PositiveInt, Probability, Seed
 
 PREFIX = "tune."
 VALIDATION = "validation/"  # of the columns of metrics.csv that are means over validation houses
@@ -35,6 +35,8 @@ class TuneSettings:
         seed: of the sampler.
         pruner: median stops a run that is worse than the median at the same share of training.
         prune_after: finished trials before any is stopped.
+        prune_from: share of a run's frames before which it is not stopped: first evaluations say
+            little.
         name: of the folder runs/tune/<name>; None: the preset, and a hash of what is searched.
     """
 
@@ -45,6 +47,7 @@ class TuneSettings:
     seed: Seed = 0
     pruner: Literal["median", "none"] = "median"
     prune_after: PositiveInt = 5
+    prune_from: Probability = 0.25
     name: FolderName | None = None
 
 
@@ -64,7 +67,7 @@ def read_settings(texts: Sequence[str]) -> TuneSettings:
     values = {override.key.removeprefix(PREFIX): override.value for override in parsed}
     for problem in problems_of_mapping(values, types, PREFIX, ()):
         raise BadInput(f"{problem.key}: {problem.reason}")
-    return TuneSettings(**values)
+    return TuneSettings(**{name: convert(value, types[name]) for name, value in values.items()})
 
 
 @dataclass(frozen=True)

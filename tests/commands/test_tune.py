@@ -164,8 +164,13 @@ def test_a_trial_that_its_check_refuses_is_a_failed_trial(trainings):
 def test_the_median_stops_a_run(trainings):
     settings = [LR, "tune.trials=6", "tune.direction=maximize", "tune.prune_after=2"]
     search(*settings, "tune.name=a")
-    pruned = [row for row in trials("a") if row["state"] == "pruned"]
-    assert pruned and trainings.rows < 6 * EVALUATIONS
+    states = [row["state"] for row in trials("a")]
+    pruned = states.count("pruned")
+    assert pruned and trainings.rows == 6 * EVALUATIONS - 3 * pruned  # after one evaluation each
+    trainings.rows = 0
+    search(*settings, "tune.prune_from=0.5", "tune.name=c", "name=c")
+    assert [row["state"] for row in trials("c")] == states
+    assert trainings.rows == 6 * EVALUATIONS - 2 * pruned
     search(*settings, "tune.pruner=none", "tune.name=b")
     assert [row["state"] for row in trials("b")] == ["complete"] * 6
 
