@@ -55,7 +55,7 @@ class Study:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise BadInput(f"{folder} cannot be made: {error.strerror}") from None
-        with opening(folder), self._readable((Exception,)):  # Alembic raises what it likes
+        with opening(folder), self.readable((Exception,)):  # Alembic raises what it likes
             self.study = optuna.create_study(
                 storage=f"sqlite:///{self.path}",
                 study_name="tune",
@@ -74,7 +74,7 @@ class Study:
                 )
 
     @contextmanager
-    def _readable(self, errors: tuple[type[Exception], ...] = OF_STORAGE) -> Iterator[None]:
+    def readable(self, errors: tuple[type[Exception], ...] = OF_STORAGE) -> Iterator[None]:
         """Raises BadInput where the database fails."""
         try:
             yield
@@ -87,7 +87,7 @@ class Study:
 
     def trials(self) -> list[FrozenTrial]:
         """All trials that have begun, by their number."""
-        with self._readable():
+        with self.readable((Exception,)):  # of what a damaged row is read to be
             states = (*ENDED, TrialState.RUNNING)
             return self.study.get_trials(deepcopy=False, states=states)
 
@@ -99,7 +99,7 @@ class Study:
                 return trial.number
         if len(trials) >= total:
             return None
-        with self._readable():
+        with self.readable():
             self._draw_for(len(trials))
             return self.study.ask().number
 
@@ -108,7 +108,7 @@ class Study:
         [frozen] = [trial for trial in self.trials() if trial.number == number]
         if frozen.state is not TrialState.RUNNING:
             return None
-        with self._readable():
+        with self.readable():
             self._draw_for(number)
             trial = optuna.trial.Trial(self.study, frozen._trial_id)
             values = {d.key: _suggest(trial, d) for d in self.dimensions}
@@ -168,7 +168,7 @@ class OpenTrial:
 
     def note(self, key: str, value: Any) -> None:
         """Keep something about the trial."""
-        with self.study._readable():
+        with self.study.readable():
             self.trial.set_user_attr(key, value)
 
     def noted(self, key: str) -> Any:
@@ -180,28 +180,28 @@ class OpenTrial:
         if step in self.told:
             return
         self.told.add(step)
-        with self.study._readable():
+        with self.study.readable():
             self.trial.report(value, step)
 
     def should_stop(self) -> bool:
         """Whether the pruner gives the trial up."""
-        with self.study._readable():
+        with self.study.readable():
             return bool(self.trial.should_prune())  # NumPy's own
 
     def complete(self, value: float) -> None:
         """Tell the trial's value."""
-        with self.study._readable():
+        with self.study.readable():
             self.study.study.tell(self.trial, value)
 
     def pruned(self) -> None:
         """Tell that the trial was given up."""
-        with self.study._readable():
+        with self.study.readable():
             self.study.study.tell(self.trial, state=TrialState.PRUNED)
 
     def fail(self, reason: str) -> None:
         """Tell that the trial has no value, and why, in one line."""
         self.note("reason", " ".join(reason.split()))
-        with self.study._readable():
+        with self.study.readable():
             self.study.study.tell(self.trial, state=TrialState.FAIL)
 
 

@@ -108,6 +108,11 @@ def test_a_search_and_the_same_command_again(trainings):
     search(LR, "tune.trials=5", "tune.name=a")
     assert len(trainings.begun) == 5 and trials("a")[:3] == rows
 
+    import optuna
+
+    study = optuna.load_study(study_name="tune", storage="sqlite:///runs/tune/a/study.db")
+    assert study.best_value == min(float(row["T_90"]) for row in trials("a"))
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize("row", [6, 8])  # in the middle of the second trial, and at its last row
@@ -225,6 +230,7 @@ def test_a_search_of_another_name_or_a_damaged_one_is_one_line(trainings, capsys
         "agent.lr=interval(1e-4,1e-2)": "a search with another space: agent.lr: 0.0001 to 0.01, l",
         "agent.gamma=0.5": "another fixed config",
         "tune.measure=T_95": "another measure: T_90, minimize, not T_95, minimize; choose another",
+        "tune.direction=maximize": "another measure: T_90, minimize, not T_90, maximize",
         "tune.seeds=2": "another number of seeds: 1, not 2",
     }
     for setting, reason in changed.items():
@@ -294,7 +300,7 @@ def test_measures_and_their_direction(settings, measured) -> None:
     assert measured == (measure.name, measure.column, measure.of_validation, measure.direction)
 
 
-def test_a_choice_that_is_never_alone_is_no_search() -> None:
+def test_single_values_are_no_search() -> None:
     with pytest.raises(BadInput, match="^tune: nothing is searched"):
         read_space(["agent.lr=0.1"])
 
