@@ -35,15 +35,18 @@ def interventions_of(
 
     `evaluate checkpoint=RUN intervention=all` leaves the measurements beside the runs.
     """
+    read: dict[Path, Intervened | None] = {}  # once, in however many worlds a run was measured
     measured: dict[str, dict[int, Intervened]] = {}
     for world, short in zip(worlds, names, strict=True):
         for row in rows_of(world):
             for seed, entry in row.runs.items():
                 folder = folders.get(entry["policy"])
-                if folder is None or seed in measured.get(short[row.label], {}):
+                if folder is None:
                     continue
-                if (read := _read(folder)) is not None:
-                    measured.setdefault(short[row.label], {})[seed] = read
+                if folder not in read:
+                    read[folder] = _read(folder)
+                if (intervened := read[folder]) is not None:
+                    measured.setdefault(short[row.label], {})[seed] = intervened
     if not measured:
         return []
     tables: list[tuple[str, Rows]] = []
@@ -91,8 +94,6 @@ def listening_of(measured: Mapping[str, Runs]) -> Rows:
 def _read(folder: Path) -> Intervened | None:
     """What a run's interventions measured; nothing, with a line in the log, where it is damaged."""
     for path in (folder / MEASURED, folder.parent / EVALUATED / folder.name / MEASURED):
-        if not path.is_file():
-            continue
         try:
             intervened = read_intervened(path)
         except BadInput as error:

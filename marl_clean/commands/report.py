@@ -61,7 +61,12 @@ def main(
     ]
     parts += interventions_of(worlds.values(), folders, names)
     parts += learning_of(worlds.values(), folders, names)
-    replays = [recording for folder in folders.values() for recording in recordings_in(folder)]
+    row_of_run = rows_by_run(worlds.values(), names)
+    replays = [
+        {**recording, "policy": called(row_of_run[run], recording["policy"])}
+        for run, folder in folders.items()
+        for recording in recordings_in(folder)
+    ]
     shown = dict.fromkeys(entry["policy"] for world in worlds.values() for entry in learned(world))
     title = f"{len(shown)} runs" if len(shown) != 1 else next(iter(shown))
     page = render(title, [NOTE], parts, replays)
@@ -191,6 +196,21 @@ def metrics_of(folder: Path) -> Mapping[str, Series]:
     except BadInput as error:
         log.warning("left out: %s", error)
         return {}
+
+
+def rows_by_run(worlds: Iterable[World], names: Sequence[Mapping[str, str]]) -> dict[str, str]:
+    """The name on the page of each run's row, by the run's name."""
+    return {
+        entry["policy"]: short[row.label]
+        for world, short in zip(worlds, names, strict=True)
+        for row in rows_of(world)
+        for entry in row.runs.values()
+    }
+
+
+def called(row: str, policy: str) -> str:
+    """A recorded run in the list of replays: with its row's name, where that is another."""
+    return policy if row == policy else f"{row}: {policy}"
 
 
 def recordings_in(folder: Path) -> list[Recording]:

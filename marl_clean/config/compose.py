@@ -86,8 +86,8 @@ def resolved(config: DictConfig) -> dict[str, Any]:
     return {str(key): value for key, value in plain.items()}
 
 
-def checked(plain: dict[str, Any], parsed: Sequence[Override] = ()) -> DictConfig:
-    """`plain` as a config with its `name` filled in. Raises BadInput when the schema refuses."""
+def check(plain: dict[str, Any], parsed: Sequence[Override] = ()) -> dict[str, Any]:
+    """`plain` with the rooms that may be left out. Raises BadInput when the schema refuses it."""
     plain = {**plain, "logger": plain.get("logger") or {}}  # no logger at all is valid
     plain["channel"] = plain.get("channel") or PERFECT
     problems = list(_problems(plain))
@@ -95,6 +95,12 @@ def checked(plain: dict[str, Any], parsed: Sequence[Override] = ()) -> DictConfi
         overridden = {override.key for override in parsed}
         first = next((p for p in problems if p.key in overridden), problems[0])
         raise BadInput(f"{first.key}: {first.reason}")
+    return plain
+
+
+def checked(plain: dict[str, Any], parsed: Sequence[Override] = ()) -> DictConfig:
+    """`plain` as a config with its `name` filled in. Raises BadInput when the schema refuses."""
+    plain = check(plain, parsed)
     config = OmegaConf.create(plain)
     if config.name is None:
         presets = [o.value for o in parsed if o.key == EXPERIMENT]

@@ -12,7 +12,7 @@ from typing import Any, get_type_hints
 from omegaconf import DictConfig
 
 from marl_clean.config.class_source import constant, parameters
-from marl_clean.config.compose import PERFECT, apply, checked, compose_parsed
+from marl_clean.config.compose import PERFECT, apply, check, checked, compose_parsed
 from marl_clean.config.config_hash import config_hash
 from marl_clean.config.hydra_adapter import Override
 from marl_clean.config.levels import (
@@ -167,7 +167,7 @@ def load_config(folder: Path) -> dict[str, Any]:
         raise BadInput(f"{path}: holds ${{...}}; the config of a run has its values written out")
     try:
         plain = _completed(plain)
-        checked(plain)
+        check(plain)
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
     return plain

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter, ValidationError
 
+from marl_clean.errors import BadInput
 from marl_clean.evaluation.records import Entry, Torn, read_entries
 
 MARK = " | "  # between a policy's name and what changed its messages
@@ -38,8 +39,14 @@ class Intervened:
 def read_intervened(path: Path) -> Intervened | None:
     """The entries of interventions in an evaluation.json, which need not be trusted.
 
-    None where it has none. Raises BadInput where it is no evaluation.json that can be shown.
+    None where it has none, or there is no such file. Raises BadInput where it is no
+    evaluation.json that can be shown.
     """
+    try:
+        if not path.is_file() or b'"change"' not in path.read_bytes():
+            return None
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}") from error
     entries = read_entries(path)
     untouched = next((entry for entry in entries if "listening" in entry), None)
     changed = {name_of(entry): entry for entry in entries if "change" in entry}

@@ -207,10 +207,11 @@ def house_fault(houses: Sequence[House]) -> str | None:
     measured = {name for name in MEASURES if name in houses[0]} | {*shown}
     needed = measured | {least for name in measured for least in _fallback_keys(name)}
     for house in houses:
-        if lacking := sorted(needed - set(house)):
-            return f"a house has no {lacking[0]}"
-        if texts := sorted(name for name in needed if isinstance(house[name], str)):
-            return f"a house has no number {texts[0]}"
+        if not needed <= house.keys():
+            return f"a house has no {min(needed - house.keys())}"
+        if str in {type(house[name]) for name in needed}:
+            texts = (name for name in needed if isinstance(house[name], str))
+            return f"a house has no number {min(texts)}"
         if house.get("max_steps", 0) is None:
             return "a house has no number max_steps"
     return None

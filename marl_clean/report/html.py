@@ -112,7 +112,7 @@ def _replays(replays: Sequence[Recording]) -> str:
         '<input type="range" min="0" max="0" value="0" aria-label="step">'
         '<a class="moment" href="#replay=0">link to this moment</a></div>'
         f'<div class="panels">{_panel(options, "left")}{_panel(NOTHING + options, "right")}</div>'
-        '<p role="status" class="note"></p></div>'
+        '<p role="status" class="spoken"></p></div>'
         f'<script type="application/json" id="recordings">{as_script(replays)}</script>'
         f"<script>{script}</script></section>"
     )

@@ -146,7 +146,7 @@ def curves(learnt: Mapping[str, Mapping[str, Mapping[str, Series]]]) -> list[Plo
 def curve(learnt: Mapping[str, Mapping[str, Mapping[str, Series]]], measure: str) -> Plot | None:
     """One measure: a thin line a seed, a thick one their mean with its band; None without any."""
     column = f"validation/{measure}"
-    chart = Chart(Axis("frames"), Axis(measure))
+    chart = Chart(Axis("frames", low=0), Axis(measure))
     numbers = [["policy", "frames", "mean", "seeds"]]
     for index, (label, runs) in enumerate(learnt.items()):
         lines = [columns[column] for columns in runs.values() if column in columns]
@@ -157,8 +157,9 @@ def curve(learnt: Mapping[str, Mapping[str, Mapping[str, Series]]], measure: str
         chart.band(index, *(getattr(of_seeds, name).tolist() for name in ("frames", "low", "high")))
         for line in lines if len(lines) > 1 else ():
             frames, values = zip(*line, strict=True)
-            chart.line(index, frames, values, Kind.THIN)
-        chart.line(index, of_seeds.frames.tolist(), of_seeds.value.tolist(), title=label)
+            chart.line(index, frames, values, Kind.THIN if len(line) > 1 else Kind.SEED)
+        kind = Kind.LINE if len(of_seeds.frames) > 1 else Kind.POINT
+        chart.line(index, of_seeds.frames.tolist(), of_seeds.value.tolist(), kind, label)
         for frame, value, low, high, seeds in zip(
             *(getattr(of_seeds, name) for name in ("frames", "value", "low", "high", "seeds")),
             strict=True,

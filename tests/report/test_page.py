@@ -280,10 +280,12 @@ def test_a_report_of_runs_shows_their_numbers_and_asks_nobody(
       }));
       const requests = performance.getEntriesByType("resource").map((entry) => entry.name);
       const ids = [...document.querySelectorAll("[id]")].map((each) => each.id);
-      return {tables, requests, doubled: ids.filter((id, at) => ids.indexOf(id) !== at)};
+      const replays = [...document.querySelector("select.policy").options].map((o) => o.text);
+      return {tables, requests, replays, doubled: ids.filter((id, at) => ids.indexOf(id) !== at)};
     """
     found, said = ask(page.resolve(), script)
     assert said == "" and found["requests"] == [] and found["doubled"] == []
+    assert found["replays"] == [f"comm=plan: {cfg.name}"]
     tables = {table["caption"]: table["rows"] for table in found["tables"]}
     measures = tables["Measures"]
     assert [row[0] for row in measures[1:]] == [
