@@ -146,7 +146,9 @@ def curves(learnt: Mapping[str, Mapping[str, Mapping[str, Series]]]) -> list[Plo
 def curve(learnt: Mapping[str, Mapping[str, Mapping[str, Series]]], measure: str) -> Plot | None:
     """One measure: a thin line a seed, a thick one their mean with its band; None without any."""
     column = f"validation/{measure}"
-    chart = Chart(Axis("frames", low=0), Axis(measure))
+    is_share = measure == "finished"
+    y = Axis(measure, 0, 1) if is_share else Axis(measure)
+    chart = Chart(Axis("frames", low=0), y)
     numbers = [["policy", "frames", "mean", "seeds"]]
     for index, (label, runs) in enumerate(learnt.items()):
         lines = [columns[column] for columns in runs.values() if column in columns]
