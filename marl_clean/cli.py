@@ -1,8 +1,8 @@
 """`marl-clean COMMAND [key=value ...]`: one thin function a command.
 
 The config is composed and checked first; only then is torch imported. Exit codes: 0 done, 1
-`doctor` reports a problem, a sweep has jobs that are not finished, or a search no trial with a
-value, 2 bad input (one line on stderr), 130 interrupted, 143 terminated.
+`doctor` reports a problem, a sweep or study has jobs that are not finished, or a search no trial
+with a value, 2 bad input (one line on stderr), 130 interrupted, 143 terminated.
 """
 
 import argparse
@@ -27,6 +27,9 @@ BAD_INPUT, INTERRUPTED, TERMINATED = 2, 128 + signal.SIGINT, 128 + signal.SIGTER
 
 def train(arguments: argparse.Namespace) -> int:
     """train a policy and evaluate it on held-out houses; the same command again resumes"""
+    from marl_clean.commands.checks import check_no_study
+
+    check_no_study(arguments.settings)
     if arguments.multirun:
         from marl_clean.commands import sweep
 
@@ -49,6 +52,15 @@ def tune(arguments: argparse.Namespace) -> int:
     from marl_clean.commands import tune as command
 
     return command.run(arguments.settings)
+
+
+def study(arguments: argparse.Namespace) -> int:
+    """run the study of a preset: arms, seeds, rules, frozen before the first run; resumes"""
+    from marl_clean.commands import study as command
+
+    if "=" in arguments.name:
+        raise BadInput(f"study: {arguments.name!r} is a setting; name a preset before it")
+    return command.main(arguments.name, arguments.settings)
 
 
 def evaluate(arguments: argparse.Namespace) -> int:
@@ -115,9 +127,13 @@ def compare(arguments: argparse.Namespace) -> int:
 
 
 def report(arguments: argparse.Namespace) -> int:
-    """finished runs on one page, runs/report.html: tables, plots, episodes to play"""
+    """finished runs, or a study, on one page: tables, plots, episodes to play"""
     from marl_clean.commands import report as command
+    from marl_clean.commands import study_report
 
+    if (folder := study_report.folder_in(arguments.runs)) is not None:
+        study_report.main(folder, arguments.out, against=arguments.against)
+        return 0
     command.main(arguments.runs, arguments.out, against=arguments.against)
     return 0
 
@@ -185,6 +201,7 @@ def doctor(arguments: argparse.Namespace) -> int:
 COMMANDS = {
     "train": train,
     "tune": tune,
+    "study": study,
     "evaluate": evaluate,
     "watch": watch,
     "figure": figure,

@@ -234,3 +234,37 @@ class Root(TypedDict):
     checkpoint: str | None
     weights: Sha256 | None
     out: str | None
+
+
+class StudyRule(TypedDict, total=False):
+    """An acceptance rule of a study: which number of an arm has to lie on which side of a bound.
+
+    Exactly one bound; a difference or ratio is that of means, to `than`.
+    """
+
+    arm: str
+    than: str
+    measure: str
+    below: float
+    above: float
+    difference_below: float
+    difference_above: float
+    ratio_below: PositiveFloat
+    ratio_above: PositiveFloat
+
+
+class _StudyOptions(TypedDict, total=False):
+    question: str | None
+    budget: PositiveInt | str | None
+    houses: Annotated[int, Field(ge=1, le=10_000)] | None
+    baseline: str
+    confidence: Annotated[float, Field(ge=0.5, lt=1)]
+
+
+class Study(_StudyOptions):
+    """A preset's section `study`: what will be compared, and which result is accepted as what."""
+
+    arms: dict[str, list[str]]
+    seeds: Annotated[list[Seed], Field(min_length=1)]
+    measure: str
+    rules: dict[str, dict[str, int | float | str]]

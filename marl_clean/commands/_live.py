@@ -158,7 +158,7 @@ class Watch:
         """The job's state, share of frames, frames a second, score and time left."""
         speed = self.paces[info.name].speed if info.state is State.RUNNING else None
         share = f"{100 * info.frames // info.total_frames} %" if info.total_frames else NONE
-        left = (info.total_frames or 0) - info.frames
+        left = max(0, (info.total_frames or 0) - info.frames)  # the last block may be longer
         score = info.reason or shown(info.score) or NONE
         if info.state is State.RUNNING and (latest := last_validation(info.folder)):
             score = f"validation {latest[0]} {latest[1]:.1f}"

@@ -7,6 +7,10 @@ from typing import NoReturn
 from marl_clean.errors import BadInput
 
 WITHOUT_SETTINGS = ("list", "doctor", "compare", "report", "matrix", "runs")
+RUN = {
+    "compare": "finished runs, or exports",
+    "report": "finished runs, or exports; or one study, by its name or folder",
+}
 ALSO = {"compare": "; draws runs/figures/compare.svg and .png, compare_2 of a second world, ..."}
 
 
@@ -40,13 +44,15 @@ def parser_of(name: str, does: str, shows_help: bool = False) -> Parser:
     )
     if name == "figure":
         parser.add_argument("name", metavar="NAME", help="the figure, such as paper_1")
+    if name == "study":
+        parser.add_argument("name", metavar="NAME", help="a preset with a section `study`")
     if name == "train":
         parser.add_argument("-m", "--multirun", action="store_true", help="all combinations")
     if name in ("compare", "report"):
-        parser.add_argument("runs", metavar="RUN", nargs="+", help="finished runs, or exports")
+        parser.add_argument("runs", metavar="RUN", nargs="+", help=RUN[name])
         written = {
             "compare": "rows as json, OUT_paired.json, ... beside",
-            "report": "where to write the page; default: runs/report.html",
+            "report": "where to write the page; default: report.html in runs/ or the study",
         }
         parser.add_argument("--out", type=Path, help=written[name])
         parser.add_argument(

@@ -4,6 +4,7 @@ Every command that composes a config goes through `check_all`: a new check is ad
 lists at the end of this file, and every command refuses what it refuses.
 """
 
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -12,7 +13,9 @@ from omegaconf import DictConfig
 from marl_clean.config.class_source import constant
 from marl_clean.config.compose import has_houses
 from marl_clean.config.fitting import check_fit
-from marl_clean.config.levels import level_of, rooms
+from marl_clean.config.levels import EXPERIMENT, level_file, level_of, rooms
+from marl_clean.config.overrides import parse_overrides
+from marl_clean.config.presets import study_of
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import RUNS, check_same_run, find_run, load_config
 from marl_clean.encoder._convolved import check_strides, fewest_weights, side_after
@@ -158,6 +161,18 @@ def check_loggers(config: DictConfig) -> None:
                 f"logger={level}: {level} is not installed; pip install 'marl-clean[{level}]',"
                 " or leave it out"
             )
+
+
+def check_no_study(settings: Sequence[str]) -> None:
+    """Raises BadInput where settings choose a preset that is a study, which `train` cannot run."""
+    for override in parse_overrides(settings, allow_hydra=True):
+        if override.key != EXPERIMENT:
+            continue
+        for preset in override.values if override.is_sweep else [override.value]:
+            if preset is not None and study_of(level_file(EXPERIMENT, str(preset))) is not None:
+                raise BadInput(
+                    f"experiment={preset}: is a study of several arms; marl-clean study {preset}"
+                )
 
 
 def check_out(path: Path) -> None:

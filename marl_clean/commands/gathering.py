@@ -31,7 +31,7 @@ Config = Mapping[str, Any]
 class Setting:
     """Runs of one config in one world, by their seed.
 
-    `label` is its name where it comes from an export, which has no config.
+    `label` is its name: of an export, which has no config, or the arm of a study.
     """
 
     config: Config | None
@@ -139,17 +139,18 @@ def measured_of(key: str, world: World, rows: Sequence[Row]) -> list[Measured]:
 
 
 def rows_of(world: World) -> list[Row]:
-    """One row per setting, labelled by what sets it apart, or as its export labels it."""
+    """One row per setting, by its label, or labelled by what sets it apart."""
     settings = list(world.settings.values())
-    configs = [setting.config for setting in settings if setting.config is not None]
+    unnamed = [setting for setting in settings if setting.label is None]
+    configs = [setting.config for setting in unnamed if setting.config is not None]
     if len(configs) == 1:
-        [entries] = [s.runs.values() for s in settings if s.config is not None]
+        [entries] = [setting.runs.values() for setting in unnamed]
         fresh = iter([common_prefix([entry["policy"] for entry in entries])])
     else:
         fresh = iter(labels(configs, IGNORED_KEYS))
     rows: dict[str, Row] = {}
     for setting in settings:
-        label = str(setting.label) if setting.config is None else next(fresh)
+        label = next(fresh) if setting.label is None else setting.label
         if label in rows:  # of an export beside folders
             label = f"{label} [{len(rows) + 1}]"
         rows[label] = Row(label, dict(setting.runs), setting.parameters)

@@ -51,26 +51,35 @@ def main(
     worlds = gather(runs)
     if not worlds:
         raise BadInput(f"report: no finished run among {', '.join(runs)}; give folders of {RUNS}/")
-    folders = folders_of(worlds.values())
     comparisons = [comparison_of(key, world, against, ON_PAGE) for key, world in worlds.items()]
-    names, settings = names_of(worlds.values())
+    shown = dict.fromkeys(entry["policy"] for world in worlds.values() for entry in learned(world))
+    title = f"{len(shown)} runs" if len(shown) != 1 else next(iter(shown))
+    parts, replays = content_of(list(worlds.values()), comparisons)
+    return write(out or RUNS / "report.html", render(title, [NOTE], parts, replays), console)
+
+
+def content_of(
+    worlds: Sequence[World], comparisons: Sequence[WorldComparison]
+) -> tuple[list[Part], list[Recording]]:
+    """The parts of a page (settings that differ, each world's measures, learning), and replays."""
+    folders = folders_of(worlds)
+    names, settings = names_of(worlds)
     parts = [] if settings is None else [Part("Settings", SETTINGS, [("Settings", settings)])]
-    titles = titles_of(worlds.values(), names)
-    parts += [
-        part_of(*world) for world in zip(titles, worlds.values(), comparisons, names, strict=True)
-    ]
-    parts += interventions_of(worlds.values(), folders, names)
-    parts += learning_of(worlds.values(), folders, names)
-    row_of_run = rows_by_run(worlds.values(), names)
+    titles = titles_of(worlds, names)
+    parts += [part_of(*world) for world in zip(titles, worlds, comparisons, names, strict=True)]
+    parts += interventions_of(worlds, folders, names)
+    parts += learning_of(worlds, folders, names)
+    row_of_run = rows_by_run(worlds, names)
     replays = [
         {**recording, "policy": called(row_of_run[run], recording["policy"])}
         for run, folder in folders.items()
         for recording in recordings_in(folder)
     ]
-    shown = dict.fromkeys(entry["policy"] for world in worlds.values() for entry in learned(world))
-    title = f"{len(shown)} runs" if len(shown) != 1 else next(iter(shown))
-    page = render(title, [NOTE], parts, replays)
-    path = out or RUNS / "report.html"
+    return parts, replays
+
+
+def write(path: Path, page: str, console: Console) -> Path:
+    """Write a page and say where. Raises BadInput where it cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         files.write_file(path, [page.encode()])

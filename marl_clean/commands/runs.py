@@ -21,6 +21,7 @@ from marl_clean.storage import files, manifest
 from marl_clean.storage.lock import LOCK, Held, locked
 
 STATES = [state.value for state in State if state is not State.WAITING]
+DEEPEST = 2  # folders around a run: runs/studies/STUDY/RUN
 RESUMABLE = "state"  # the kind of checkpoints that a finished run needs no more
 UNITS = (("d", 86400), ("h", 3600), ("min", 60), ("s", 1))
 NONE = "-"
@@ -67,7 +68,7 @@ def main(
 
 
 def every_run(folder: Path, prefix: str = "") -> Iterator[RunInfo]:
-    """Every run below `folder` by name, the jobs of named sweeps included."""
+    """Every run below `folder` by name, the jobs of named sweeps and studies included."""
     try:
         places = sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))
     except OSError:
@@ -78,7 +79,7 @@ def every_run(folder: Path, prefix: str = "") -> Iterator[RunInfo]:
             info = look(place, name)
             if info.state is not State.WAITING:
                 yield info
-        elif not prefix:
+        elif prefix.count("/") < DEEPEST:
             yield from every_run(place, f"{name}/")
 
 

@@ -8,7 +8,7 @@ folders, and whatever becomes of one, the others go on.
 import os
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
@@ -66,20 +66,49 @@ def run(overrides: Sequence[str], console: Console | None = None) -> int:
     Return 0 where all are finished, else 1. Raises BadInput before the first job starts, and where
     the launcher can start none.
     """
+    of_jobs, of_hydra = split(overrides)
+    jobs = named_jobs(of_jobs, runs_here(of_hydra))
+    labels = labels_of({job.config.name: job.settings for job in jobs})
+    return run_jobs(jobs, of_hydra, labels, console)
+
+
+def split(overrides: Sequence[str]) -> tuple[list[Override], list[Override]]:
+    """The settings of the jobs, and Hydra's own, which say how jobs are launched.
+
+    Raises BadInput where one of Hydra's names nothing.
+    """
     parsed = parse_overrides(overrides, allow_hydra=True)
     of_hydra = [override for override in parsed if override.of_hydra]
-    of_jobs = [override for override in parsed if not override.of_hydra]
-    chosen = [override.value for override in of_hydra if override.key == LAUNCHER]
     check_launching(of_hydra)
-    here = set(chosen[-1:]) <= set(ON_THIS_MACHINE)
-    jobs = named_jobs(of_jobs, here)
-    if not chosen:
-        of_hydra += default_launcher([job.config for job in jobs])
+    return [override for override in parsed if not override.of_hydra], of_hydra
+
+
+def runs_here(of_hydra: Sequence[Override]) -> bool:
+    """Whether the launcher that Hydra's settings choose runs jobs on this machine."""
+    return set(_launcher_in(of_hydra)) <= set(ON_THIS_MACHINE)
+
+
+def run_jobs(
+    jobs: Sequence[Job],
+    of_hydra: Sequence[Override],
+    labels: Mapping[str, str],
+    console: Console | None = None,
+) -> int:
+    """Run those of the checked jobs that are not finished; print what became of each.
+
+    `labels`: of each job by its name. Return and raise as `run` does.
+    """
+    if not _launcher_in(of_hydra):
+        of_hydra = [*of_hydra, *default_launcher([job.config for job in jobs])]
         check_launching(of_hydra)
-    labels = labels_of({job.config.name: job.settings for job in jobs})
     with Watch({job.config.name: job.folder for job in jobs}, labels):
         run_missing(jobs, of_hydra)
     return print_endings([Ending.of(job.config, job.folder) for job in jobs], labels, console)
+
+
+def _launcher_in(of_hydra: Sequence[Override]) -> list[str]:
+    """The launcher that the settings choose, the last of several, or nothing."""
+    return [override.value for override in of_hydra if override.key == LAUNCHER][-1:]
 
 
 def default_launcher(configs: Sequence[DictConfig]) -> list[Override]:

@@ -26,12 +26,13 @@ from hydra.core.utils import JobStatus
 from hydra.errors import HydraException
 from hydra.initialize import get_gh_backup, restore_gh_from_backup
 from hydra.types import HydraContext, RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from marl_clean.config import _ray
 from marl_clean.config.levels import levels_in
 from marl_clean.config.locate import own, packages
+from marl_clean.config.presets import STUDY
 from marl_clean.config.schema import choices
 from marl_clean.errors import BadInput
 
@@ -188,9 +189,12 @@ def _state_of_files() -> Hashable:
 def _by_hydra(settings: Iterable[str]) -> DictConfig:
     with _hydra():
         try:
-            return hydra_compose(CONFIG_NAME, list(settings))
+            config = hydra_compose(CONFIG_NAME, list(settings))
         except HydraException as error:
             raise NotComposed(first_line(error)) from None
+    with open_dict(config):
+        config.pop(STUDY, None)
+    return config
 
 
 def check_launching(overrides: Sequence[Override]) -> None:

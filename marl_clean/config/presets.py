@@ -7,9 +7,11 @@ no defaults, a preset must change what it names and nothing else.
 from pathlib import Path
 from typing import Any
 
+from marl_clean.errors import BadInput
 from marl_clean.storage.safe_yaml import load_yaml
 
 OVERRIDE = "override /"
+STUDY = "study"  # a preset's section that is no setting of a run
 
 
 def read_preset(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -19,6 +21,7 @@ def read_preset(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """
     values = load_yaml(path)
     values.pop("hydra", None)  # how it is swept
+    values.pop(STUDY, None)
     levels: dict[str, Any] = {}
     sets: list[dict[str, Any]] = []
     for entry in values.pop("defaults", []):
@@ -43,3 +46,20 @@ def sweep_of(path: Path) -> dict[str, str]:
             swept |= sweep_of(path.with_name(f"{entry}.yaml"))
     own = values.get("hydra", {}).get("sweeper", {}).get("params", {})
     return swept | {key: str(value) for key, value in own.items()}
+
+
+def study_of(path: Path) -> dict[str, Any] | None:
+    """A preset's section `study` as it stands, over those of presets that it builds on, or None."""
+    values = load_yaml(path)
+    sections = [
+        study_of(path.with_name(f"{entry}.yaml"))
+        for entry in values.get("defaults", [])
+        if isinstance(entry, str) and entry != "_self_"
+    ]
+    sections.append(values.get(STUDY))
+    given = [section for section in sections if section is not None]
+    if not given:
+        return None
+    if not all(isinstance(section, dict) for section in given):
+        raise BadInput(f"{path}: {STUDY}: must be a section with arms, seeds, measure and rules")
+    return {key: value for section in given for key, value in section.items()}

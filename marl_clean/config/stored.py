@@ -104,7 +104,7 @@ def _check_fits(
     """
     sized_by = constant(stored["agent"]["_target_"], "sized_by") or []
     for room in (*NETWORK, "env"):
-        for key, old, new in _differences(stored[room], wanted[room], room):
+        for key, old, new in differing(stored[room], wanted[room], room):
             if room == "env":
                 matters = key in sized_by
             elif learning_may_change:
@@ -204,7 +204,7 @@ def check_same_run(config: DictConfig, folder: Path) -> None:
     if config_hash(DictConfig(stored)) == config_hash(config):
         return
     for room in map(str, config):
-        for key, old, new in _differences(stored.get(room), config[room], room):
+        for key, old, new in differing(stored.get(room), config[room], room):
             if key != "name":
                 raise BadInput(
                     f"name={config.name}: {folder} holds a run with {key}={old}, not {new}; "
@@ -212,11 +212,11 @@ def check_same_run(config: DictConfig, folder: Path) -> None:
                 )
 
 
-def _differences(old: Any, new: Any, key: str) -> Iterator[tuple[str, Any, Any]]:
+def differing(old: Any, new: Any, key: str) -> Iterator[tuple[str, Any, Any]]:
     """(key, old value, new value) of every leaf that is not the same."""
     if isinstance(old, dict) and isinstance(new, dict | DictConfig):
         for name in sorted({*old, *new}):
-            yield from _differences(old.get(name), new.get(name), f"{key}.{name}")
+            yield from differing(old.get(name), new.get(name), f"{key}.{name}")
     elif old != new:
         yield key, old, new
 

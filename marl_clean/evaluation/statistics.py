@@ -5,7 +5,7 @@ A sample is a matrix [run, house]; one run is a matrix of one row. NaN stands fo
 are in aggregates.py, with intervals from resampling.py.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -113,17 +113,24 @@ def paired_p(
     """
     differences = _differences(values, baseline)
     errors, degrees = [], []
-    for rows in (differences, differences.T):
-        means, known = _row_means(rows)
-        means = means[known > 0]
-        if len(means) > 1:
-            errors.append(float(means.var(ddof=1)) / len(means))
-            degrees.append(len(means) - 1)
+    for means in sampled_means(differences):
+        errors.append(float(means.var(ddof=1)) / len(means))
+        degrees.append(len(means) - 1)
     mean = float(_mean_of_runs(differences)) if errors else 0.0
     if mean == 0:
         return 1.0
     error = sum(errors) ** 0.5
     return float(2 * stdtr(min(degrees), -abs(mean) / error)) if error else 0.0
+
+
+def sampled_means(
+    values: Float[np.ndarray, "run house"],
+) -> Iterator[Float[np.ndarray, " mean"]]:
+    """The mean of each run, then of each house; what there is only one of is no sample."""
+    for rows in (values, values.T):
+        means, known = _row_means(rows)
+        if (known > 0).sum() > 1:
+            yield means[known > 0]
 
 
 def holm(values: Sequence[float]) -> list[float]:

@@ -46,7 +46,9 @@ def train(settings: Settings = None, /, **keywords: Any) -> Run:
         BadInput: what `marl-clean train` refuses, in the same words.
         KeyboardInterrupt: after an interrupt, when the state is saved; the same call resumes.
     """
-    config = compose_for_training(overrides_of(settings, keywords))
+    overrides = overrides_of(settings, keywords)
+    checks.check_no_study(overrides)
+    config = compose_for_training(overrides)
     checks.check_all(config, training=True)
     folder = RUNS / config.name
     try:

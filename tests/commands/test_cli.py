@@ -93,6 +93,7 @@ COMPOSING = [
     "train",
     "train -m seed=1,2",
     "tune seed=1,2",
+    "study quick_study",
     "evaluate",
     "watch",
     "figure paper_1",

@@ -16,7 +16,7 @@ from marl_clean.config import compose
 from marl_clean.config.class_source import constant
 from marl_clean.config.compose import compose_config, has_houses
 from marl_clean.config.levels import PRESETS, conf_folder, level_of, rooms
-from marl_clean.config.presets import read_preset
+from marl_clean.config.presets import read_preset, study_of
 from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import load_config
 from marl_clean.evaluation.records import MEASURES, SCHEMA, WORLD, Entry, read_entries
@@ -25,7 +25,11 @@ from tests.families import family
 
 pytestmark = pytest.mark.usefixtures("one_thread", "unchecked")
 
-EXPERIMENTS = sorted(path.stem for path in (conf_folder() / "experiment").glob("*.yaml"))
+EXPERIMENTS = sorted(
+    path.stem
+    for path in (conf_folder() / "experiment").glob("*.yaml")
+    if study_of(path) is None  # trained by `study` alone: test_study.py
+)
 ALL = sorted(path for group in PRESETS for path in (conf_folder() / group).glob("*.yaml"))
 
 # As small as shows that everything fits together; houses, robots and network are the preset's.

@@ -1,0 +1,319 @@
+"""A study is frozen before it is run, holds to that, and says which of its rules is met."""
+
+import copy
+import io
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from omegaconf import OmegaConf
+from rich.console import Console
+
+import marl_clean.commands
+from marl_clean import cli
+from marl_clean.commands import study, study_report
+from marl_clean.commands.frozen import FROZEN, read_frozen
+from marl_clean.commands.study_plan import PLANNERS, read_study
+from marl_clean.commands.verdicts import judge, runs_of
+from marl_clean.config.compose import compose_config
+from marl_clean.config.config_hash import config_hash
+from marl_clean.config.levels import conf_folder, read_level
+from marl_clean.config.presets import study_of
+from marl_clean.config.schema import instantiate
+from marl_clean.config.stored import load_config
+from marl_clean.errors import BadInput
+from marl_clean.evaluation.evaluator import YARDSTICKS
+from marl_clean.evaluation.records import make_entry, write_entries
+from marl_clean.evaluation.rules import Outcome
+from marl_clean.storage.lock import locked
+from tests.families import family
+from tests.reliability import short_jobs
+from tests.reliability.short_jobs import BAD_SEED
+
+pytestmark = pytest.mark.usefixtures("unchecked")
+
+STUDY: dict[str, Any] = {
+    "arms": {"silent": ["comm=none"], "plan": ["comm=plan"]},
+    "seeds": [1, 2, 3],
+    "budget": 10_000,
+    "houses": 3,
+    "measure": "T_90",
+    "rules": {
+        "sooner": {"arm": "plan", "ratio_below": 0.95},
+        "much_sooner": {"arm": "plan", "than": "silent", "ratio_below": 0.5},
+        "beats_planner": {"arm": "plan", "than": "nearest_unknown", "difference_below": -60},
+        "finishes": {"arm": "plan", "measure": "finished", "above": 0.9},
+    },
+}
+MEANS = {"silent": 1000, "plan": 800}  # planted T_90
+PLANNER = 860
+FOLDER = Path("runs/studies/quick")
+
+
+@pytest.fixture
+def trained(tmp_path, monkeypatch) -> list[str]:
+    """The names of runs that a stand-in for training was asked for, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    names = []
+
+    def main(config, folder, console=None):
+        with locked(folder):
+            assert (folder.parent / FROZEN).is_file()  # frozen before anything is run
+            names.append(folder.name)
+            if config.seed == BAD_SEED:
+                raise RuntimeError("thirteen")
+            short_jobs.finish(config, folder)
+            rng = np.random.default_rng(config.seed)
+            times = MEANS[folder.name.partition("-")[0]] + rng.normal(0, 1, 20)
+            write_entries(folder / "evaluation.json", entries(config, times))
+
+    stand_in = types.ModuleType("marl_clean.commands.train")
+    stand_in.main = main
+    monkeypatch.setitem(sys.modules, stand_in.__name__, stand_in)
+    monkeypatch.setattr(marl_clean.commands, "train", stand_in, raising=False)
+    return names
+
+
+def entries(config, times) -> list[dict[str, Any]]:
+    [record, *_] = short_jobs.houses(0)
+    sides = {config.name: times, "nearest_unknown": PLANNER + 0 * times}
+    return [
+        make_entry(
+            name, "test", "hash", 0.0, 2,
+            [record | {"seed": i, "T_90": float(t)} for i, t in enumerate(values)],
+        )
+        for name, values in sides.items()
+    ]  # fmt: skip
+
+
+def run(monkeypatch, section: dict[str, Any] = STUDY, *settings: str) -> tuple[int, str]:
+    """The exit code of the study on top of the preset `quick`, and what it prints."""
+    monkeypatch.setattr(study, "section_of", lambda preset: copy.deepcopy(section))
+    out = io.StringIO()
+    console = Console(file=out, width=250)
+    code = study.main("quick", ["hydra/launcher=basic", *settings], console)
+    return code, out.getvalue()
+
+
+def changed(**keys: Any) -> dict[str, Any]:
+    return copy.deepcopy(STUDY) | keys
+
+
+def verdicts(folder: Path = FOLDER) -> dict[str, Outcome]:
+    frozen = read_frozen(folder)
+    return {v.rule.name: v.outcome for v in judge(frozen, runs_of(frozen))}
+
+
+def test_a_study_is_run_and_its_rules_are_decided(trained, monkeypatch):
+    code, out = run(monkeypatch)
+    assert code == 0 and "6 jobs: 6 finished" in out
+    assert trained == [f"{arm}-s{seed}" for arm in MEANS for seed in (1, 2, 3)]
+    assert verdicts() == {
+        "sooner": Outcome.MET,
+        "much_sooner": Outcome.NOT_MET,
+        "beats_planner": Outcome.UNDECIDED,  # 800 - 860, but for noise
+        "finishes": Outcome.MET,
+    }
+    page = (FOLDER / "report.html").read_text()
+    for text in ("T_90: plan / silent &lt; 0.95", "undecided", "not met", "plan-s3"):
+        assert text in page
+    frozen = read_frozen(FOLDER)
+    config = load_config(FOLDER / "plan-s2")
+    assert (config["seed"], config["trainer"]["total_frames"]) == (2, 10_000)
+    assert config["evaluation"]["houses"] == 3
+    alone = ["experiment=quick", "comm=plan", "seed=2"]
+    alone += ["trainer.total_frames=10000", "evaluation.houses=3"]
+    assert frozen.hashes["plan", 2] == config_hash(compose_config(alone))
+
+    before = (FOLDER / FROZEN).read_bytes()
+    assert run(monkeypatch)[0] == 0 and len(trained) == 6  # nothing is lacking
+    assert (FOLDER / FROZEN).read_bytes() == before
+    assert cli.main(["report", "quick", "--out", "page.html"]) == 0
+    assert Path("page.html").read_text() == page
+
+
+@pytest.mark.slow
+def test_a_failed_seed_stays_and_decides_nothing(trained, monkeypatch):
+    code, out = run(monkeypatch, changed(seeds=[1, 13, 2]))
+    assert code == 1 and "4 finished, 2 failed" in out
+    assert "silent-s13 failed, plan-s13 failed" in out
+    assert verdicts()["sooner"] is Outcome.UNDECIDED
+    page = (FOLDER / "report.html").read_text()
+    assert "RuntimeError: thirteen" in page and page.count("plan-s13 failed") == 4
+    frozen = read_frozen(FOLDER)
+    [first, *_] = judge(frozen, runs_of(frozen))
+    assert first.seeds == [1, 2] and first.effect.value == pytest.approx(0.8, abs=0.01)
+
+
+@pytest.mark.slow
+def test_runs_that_are_missing_leave_the_rest(trained, monkeypatch):
+    run(monkeypatch)
+    for name in ("plan-s1", "plan-s2", "plan-s3"):
+        (FOLDER / name).rename(FOLDER.parent / name)
+    study_report.main(FOLDER, console=Console(quiet=True))
+    page = (FOLDER / "report.html").read_text()
+    assert "3 finished, 3 waiting of 6" in page and "plan-s1 waiting" in page
+    assert set(verdicts().values()) == {Outcome.UNDECIDED}
+    for name in ("silent-s1", "silent-s2", "silent-s3"):
+        (FOLDER / name).rename(FOLDER.parent / name)
+    study_report.main(FOLDER, console=Console(quiet=True))
+    assert "6 waiting of 6" in (FOLDER / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_a_run_of_another_config_is_not_counted(trained, monkeypatch):
+    run(monkeypatch)
+    config = yaml.safe_load((FOLDER / "plan-s1/config.yaml").read_text())
+    config["trainer"]["total_frames"] += 1
+    (FOLDER / "plan-s1/config.yaml").write_text(yaml.safe_dump(config))
+    frozen = read_frozen(FOLDER)
+    reasons = {run.folder.name: run.reason for run in runs_of(frozen)}
+    assert reasons["plan-s1"] == "another config than the registered one"
+    assert verdicts()["sooner"] is Outcome.UNDECIDED
+
+
+CHANGES: list[tuple[dict[str, Any], str]] = [
+    ({"seeds": [1, 2, 3, 4]}, "seeds=[1, 2, 3], not [1, 2, 3, 4]"),
+    ({"measure": "T_100"}, "measure=T_90, not T_100"),
+    ({"confidence": 0.9}, "confidence=0.95, not 0.9"),
+    ({"budget": 20_000}, "budget=10000, not 20000"),
+    ({"rules": {"sooner": {"arm": "plan", "ratio_below": 0.99}}}, "sooner.ratio_below=0.95, not"),
+    ({"rules": STUDY["rules"] | {"more": {"arm": "plan", "below": 9}}}, "with no study.rules.more"),
+    ({"arms": {**STUDY["arms"], "third": ["comm=dgn"]}}, "arms silent, plan, not silent, pl"),
+    ({"arms": {**STUDY["arms"], "plan": ["agent.lr=0.1"]}}, "agent.lr=0.001 in arm plan, not"),
+]
+
+
+@pytest.mark.slow
+def test_a_changed_study_is_one_line(trained, monkeypatch):
+    run(monkeypatch)
+    before = (FOLDER / FROZEN).read_bytes()
+    for keys, named in CHANGES:
+        with pytest.raises(BadInput, match="begin a new study") as refused:
+            run(monkeypatch, changed(**keys))
+        assert named in str(refused.value) and "\n" not in str(refused.value)
+    assert len(trained) == 6 and (FOLDER / FROZEN).read_bytes() == before
+    assert run(monkeypatch, changed(question="Is it so?"), "logger=[csv]")[0] == 0
+    assert len(trained) == 6  # which are outside of the hash
+    keys, _ = CHANGES[4]
+    run(monkeypatch, changed(**keys), "name=second")
+    assert len(trained) == 12 and len(verdicts(FOLDER.parent / "second")) == 1
+
+
+@pytest.mark.slow
+def test_a_study_changed_by_hand_is_one_line(trained, monkeypatch, capsys):
+    run(monkeypatch)
+    path = FOLDER / FROZEN
+    path.write_text(path.read_text().replace("ratio_below: 0.95", "ratio_below: 0.99"))
+    assert cli.main(["report", str(FOLDER)]) == 2
+    assert "was changed after it was frozen" in capsys.readouterr().err
+    with pytest.raises(BadInput, match="was changed after it was frozen"):
+        run(monkeypatch)
+    path.unlink()  # which does not make the results newer than the rules
+    with pytest.raises(BadInput, match="plan-s1, which was run before a study was frozen here"):
+        run(monkeypatch)
+
+
+@family(
+    ("keys", "named"),
+    [
+        ({"arms": {}}, "study.arms: is empty"),
+        ({"rules": {}}, "study.rules: is empty"),
+        ({"seeds": []}, "study.seeds: must be a list"),
+        ({"seeds": [1, 1]}, "study.seeds: 1 stands there twice"),
+        ({"arms": {"a/b": []}}, "study.arms.a/b: must be named by letters"),
+        ({"arms": {"random": []}}, "study.arms.random: is the name of a planner"),
+        ({"arms": {"a": ["comm=plam"]}}, "did you mean plan?"),
+        ({"arms": {"a": ["seed=3"]}}, "study.arms.a: seed: belongs in study.seeds"),
+        ({"arms": {"a": ["evaluation.houses=3"]}}, "belongs in study.houses"),
+        ({"arms": {"a": ["name=x"]}}, "is the study's to choose"),
+        ({"arms": {"a": ["comm=plan,none"]}}, "several values"),
+        ({"arms": {"a": [], "b": ["comm=plan"]}}, "study.arms.b: makes the same runs as a"),
+        ({"arms": {"a": ["env.n_agents=99"]}}, "env.n_agents"),
+        ({"measure": "T_9"}, "study.measure: T_9: no such one; did you mean T_9"),
+        ({"baseline": "nobody"}, "study.baseline: nobody: no such one"),
+        ({"budgt": 1}, "study.budgt: no such key; did you mean budget?"),
+        ({"budget": "hug"}, "budget=hug: no such level"),
+        ({"rules": {"r": {"arm": "b", "below": 1}}}, "study.rules.r.arm: b: no such one"),
+        ({"rules": {"r": {"arm": "a"}}}, "study.rules.r: has no bound"),
+        ({"rules": {"r": {"arm": "a", "below": 1, "above": 2}}}, "has below and above"),
+        ({"rules": {"r": {"below": 1}}}, "study.rules.r.arm: is missing"),
+        ({"rules": {"r": {"arm": "a", "ratio_below": -1}}}, "study.rules.r.ratio_below: must be"),
+        ({"rules": {"r": {"arm": "a", "ratio_below": 1}}}, "study.rules.r.than: a is the arm"),
+        ({"rules": {"r": {"arm": "a", "than": "a", "below": 1}}}, "is a bound on the arm alone"),
+        ({"rules": {"r": {"arm": "a", "measure": "T_certify", "below": 1}}}, "is not measured in"),
+        ({"rules": {"r": {"arm": "a", "than": "random", "measure": "return", "ratio_above": 1}}},
+         "may be negative"),
+        ({"arms": {"a": [], "c": ["house.rows=[9,9]"]},
+          "rules": {"r": {"arm": "c", "difference_below": 1}}}, "in other houses"),
+    ],
+    fast=6,
+)  # fmt: skip
+def test_bad_studies_are_one_line_and_nothing_is_run(keys, named, trained, monkeypatch):
+    sound = {
+        "arms": {"a": ["trainer.start_frames=0"]},
+        "seeds": [1],
+        "measure": "T_90",
+        "rules": {"r": {"arm": "a", "below": 100}},
+    }
+    with pytest.raises(BadInput) as refused:
+        run(monkeypatch, sound | keys)
+    assert named in str(refused.value) and "\n" not in str(refused.value)
+    assert not trained and not list(Path().iterdir())
+
+
+@pytest.mark.slow
+def test_an_arm_may_start_from_a_preset_of_its_own(trained, monkeypatch):
+    monkeypatch.setitem(MEANS, "own", 500)
+    arms = {"plan": [], "own": ["experiment=paper_proximity", "house=apartment"]}
+    rules = {"r": {"arm": "own", "below": 600}}
+    run(monkeypatch, changed(arms=arms, rules=rules))
+    config = load_config(FOLDER / "own-s1")
+    assert config["train_houses"] == compose_config(["experiment=paper_proximity"]).train_houses
+    assert config["house"]["path"] == "apartment" and verdicts() == {"r": Outcome.MET}
+
+
+@pytest.mark.slow
+def test_a_study_on_the_command_line_may_be_shorter(trained, monkeypatch):
+    run(monkeypatch, STUDY, "budget=smoke", "name=try")
+    folder = FOLDER.parent / "try"
+    assert load_config(folder / "plan-s1")["trainer"]["total_frames"] == 6_144
+    with pytest.raises(BadInput, match=r"trainer.total_frames=6144 in arm silent, not 10000"):
+        run(monkeypatch, STUDY, "name=try")
+
+
+@pytest.mark.slow
+def test_a_study_is_reported_alone(trained, monkeypatch):
+    run(monkeypatch)
+    assert study_report.folder_in(["quick"]) == FOLDER
+    assert study_report.folder_in([str(FOLDER)]) == FOLDER
+    assert study_report.folder_in([str(FOLDER / "plan-s1")]) is None
+    with pytest.raises(BadInput, match="quick is a study; give it alone"):
+        study_report.folder_in(["other", "quick"])
+
+
+def test_the_section_changes_no_config():
+    """A preset with a study makes the runs of the same preset without it."""
+    with_study = compose_config(["experiment=quick_study"])
+    assert "study" not in with_study
+    assert study_of(conf_folder() / "experiment/quick_study.yaml") is not None
+    assert study_of(conf_folder() / "experiment/quick.yaml") is None
+
+
+def test_planners_are_those_that_training_measures():
+    labels = []
+    for name, settings in YARDSTICKS:
+        section = OmegaConf.create({**read_level("planner", name), **settings})
+        labels.append(instantiate(section).label)
+    assert tuple(labels) == PLANNERS
+
+
+def test_shipped_studies_are_valid():
+    for path in sorted((conf_folder() / "experiment").glob("*.yaml")):
+        if (section := study_of(path)) is not None:
+            _, rules = read_study(section)
+            assert all(rule.says for rule in rules)
