@@ -16,8 +16,8 @@ from hydra import version
 from hydra._internal.callbacks import Callbacks
 from hydra._internal.hydra import Hydra
 from hydra._internal.utils import create_config_search_path
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
-from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Glob, IntervalSweep, OverrideType, RangeSweep, Sweep
 from hydra.core.override_parser.types import Override as Parsed
@@ -48,7 +48,26 @@ LAUNCHERS = {  # what to install for those that do not come with Hydra
     "submitit_slurm": "'marl-clean[slurm]'",
 }
 
+LAUNCHING = "launching"  # a config without the rooms: each job composes its own
+RUNS_FOLDER = "runs"
+
 _ray.offer_ray()
+ConfigStore.instance().store(
+    name=LAUNCHING,
+    node={
+        "defaults": [
+            {"override hydra/job_logging": "none"},
+            {"override hydra/hydra_logging": "none"},
+        ],
+        "job": 0,
+        "hydra": {
+            "output_subdir": None,
+            "sweep": {"dir": RUNS_FOLDER, "subdir": "."},
+            "job": {"name": "marl-clean", "chdir": False},
+        },
+    },
+    provider="marl_clean",
+)
 
 
 @dataclass(frozen=True)
@@ -226,7 +245,8 @@ def launch(
 ) -> list[Exception | None]:
     """Run `task` for every job's settings, by the launcher that `overrides` choose and set.
 
-    Return what each job raised. Raises what the launcher itself does, as where a worker was killed.
+    Hydra hands over the number of a job alone: it would compose a whole config for each. Return
+    what each job raised. Raises what the launcher itself does, as where a worker was killed.
     """
     with _hydra() as hydra:
         config = _for_launching(hydra, overrides)
@@ -235,16 +255,19 @@ def launch(
             return _ray.launch_on_ray(task, jobs, chosen)
         launcher = Plugins.instance().instantiate_launcher(
             hydra_context=HydraContext(hydra.config_loader, Callbacks(config)),
-            task_function=partial(_hydra_job, task),
+            task_function=partial(_hydra_job, task, jobs),
             config=config,
         )
-        results = launcher.launch([list(job) for job in jobs], initial_job_idx=0)
+        numbers = [[f"job={number}"] for number in range(len(jobs))]
+        results = launcher.launch(numbers, initial_job_idx=0)
     failed = (result.status is JobStatus.FAILED for result in results)
     return [r._return_value if f else None for r, f in zip(results, failed, strict=True)]
 
 
-def _hydra_job(task: Callable[[Sequence[str]], None], composed: DictConfig) -> None:
-    task(list(HydraConfig.get().overrides.task))
+def _hydra_job(
+    task: Callable[[Sequence[str]], None], jobs: Sequence[Sequence[str]], launched: DictConfig
+) -> None:
+    task(list(jobs[launched.job]))
 
 
 def first_line(error: Exception) -> str:
@@ -271,7 +294,7 @@ def _hydra() -> Iterator[Hydra]:
 def _for_launching(hydra: Hydra, overrides: Sequence[Override]) -> DictConfig:
     settings = [override.setting for override in overrides]
     try:
-        return hydra.compose_config(CONFIG_NAME, settings, run_mode=RunMode.MULTIRUN)
+        return hydra.compose_config(LAUNCHING, settings, run_mode=RunMode.MULTIRUN)
     except (HydraException, OmegaConfBaseException) as error:
         raise BadInput(f"{' '.join(settings)}: {first_line(error)}") from None
 
