@@ -123,13 +123,15 @@ def _value_of(
 ) -> float:
     """Train a run, or what is left of it, and return its measure."""
     from marl_clean.commands import train
+    from marl_clean.commands.run_record import recorded
 
     folder = RUNS / config.name
     with locked(folder):
         _check_deaths(trial, folder)
         (folder / FAILED).unlink(missing_ok=True)
         try:
-            train.train(config, folder, [] if report is None else [report])
+            with recorded(config, folder) as begin:
+                train.train(config, folder, begin, [] if report is None else [report])
         except (Pruned, Held):
             raise
         except (SystemExit, KeyboardInterrupt):

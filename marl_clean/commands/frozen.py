@@ -6,7 +6,6 @@ own sha256, so that a change by hand is noticed too.
 
 import hashlib
 import json
-import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,6 +16,7 @@ import yaml
 from omegaconf import DictConfig
 
 from marl_clean import __version__
+from marl_clean.commands.made_with import git_state
 from marl_clean.commands.study_plan import Rule, read_study
 from marl_clean.config.compose import leaves
 from marl_clean.config.config_hash import LATER, OUTSIDE_THE_HASH, config_hash, container
@@ -28,7 +28,6 @@ from marl_clean.storage.safe_yaml import load_yaml
 FROZEN = "study.yaml"
 SCHEMA = 1
 HEAD = "# Written when the study was first run, and not changed after that: see docs/studies.md.\n"
-GIT_SECONDS = 5
 
 
 @dataclass(frozen=True)
@@ -184,20 +183,5 @@ def digest_of(content: Mapping[str, Any]) -> str:
 
 def commit() -> str | None:
     """The commit of the checkout that this package lies in, and whether files differ from it."""
-    root = own().folder.parent
-    if not (root / ".git").exists():
-        return None
-    try:
-        head, changes = (
-            subprocess.run(
-                ["git", "-C", str(root), *command],
-                capture_output=True,
-                text=True,
-                check=True,
-                timeout=GIT_SECONDS,
-            ).stdout.strip()
-            for command in (["rev-parse", "HEAD"], ["status", "--porcelain", "-uno"])
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return f"{head} and changes" if changes else head
+    state = git_state(own().folder)
+    return f"{state['commit']} and changes" if state["clean"] is False else state["commit"]

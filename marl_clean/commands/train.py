@@ -1,7 +1,7 @@
 """`marl-clean train`: train, choose weights on validation houses, measure, draw."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from rich.console import Console
 from marl_clean import build
 from marl_clean.commands._plan_lines import write_plan_lines
 from marl_clean.commands.command_line import command_line
+from marl_clean.commands.run_record import recorded
 from marl_clean.config.compose import compose_config, has_houses
 from marl_clean.config.config_hash import config_hash
 from marl_clean.config.schema import instantiate
@@ -32,7 +33,7 @@ from marl_clean.report.origin import Origin
 from marl_clean.report.recorded import REPLAY
 from marl_clean.report.recording import make_recording
 from marl_clean.report.replay import make_replay
-from marl_clean.storage import files
+from marl_clean.storage import files, manifest
 from marl_clean.storage.lock import locked
 from marl_clean.trainer._outcome import Outcome
 
@@ -56,14 +57,8 @@ def main(cfg: DictConfig, folder: Path, console: Console | None = None) -> list[
 
 
 def _main(cfg: DictConfig, folder: Path, console: Console) -> list[Entry]:
-    outcome = train(cfg, folder)
-    if outcome.was_finished:
-        console.print(f"{folder} is finished: {outcome.frames:,} frames", soft_wrap=True)
-    entries = measured_before(folder) if outcome.was_finished else None
-    if entries is None:
-        entries = measure_all(cfg, folder)
-        write_entries(folder / MEASURED, entries)
-    draw(cfg, folder)
+    with recorded(cfg, folder) as begin:
+        entries = _made(cfg, folder, console, begin)
     for key in dict.fromkeys((entry["house_set"], entry["n_agents"]) for entry in entries):
         console.print(make_table([e for e in entries if (e["house_set"], e["n_agents"]) == key]))
     names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
@@ -71,10 +66,32 @@ def _main(cfg: DictConfig, folder: Path, console: Console) -> list[Entry]:
     return entries
 
 
-def train(cfg: DictConfig, folder: Path, more_loggers: Sequence[Logger] = ()) -> Outcome:
+def _made(
+    cfg: DictConfig, folder: Path, console: Console, begin: Callable[[], None]
+) -> list[Entry]:
+    """Do what is not done yet; `begin` is called before any of it."""
+    outcome = train(cfg, folder, begin)
+    if outcome.was_finished:
+        console.print(f"{folder} is finished: {outcome.frames:,} frames", soft_wrap=True)
+    entries = measured_before(folder) if outcome.was_finished else None
+    if entries is None:
+        begin()
+        entries = measure_all(cfg, folder)
+        write_entries(folder / MEASURED, entries)
+    draw(cfg, folder)
+    return entries
+
+
+def train(
+    cfg: DictConfig,
+    folder: Path,
+    begin: Callable[[], None],
+    more_loggers: Sequence[Logger] = (),
+) -> Outcome:
     """Train until the budget is spent; the folder is made when everything is built.
 
-    `more_loggers` log beside those of the config; what one raises ends the training.
+    `begin` is called then, unless the run is finished. `more_loggers` log beside those of the
+    config; what one raises ends the training.
     """
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it reports every buffer it makes
     torch.manual_seed(cfg.seed)
@@ -93,6 +110,8 @@ def train(cfg: DictConfig, folder: Path, more_loggers: Sequence[Logger] = ()) ->
         files.write_file(folder / CONFIG, [OmegaConf.to_yaml(cfg, resolve=True).encode()])
     except OSError as error:
         raise BadInput(f"name={cfg.name}: {folder} cannot be written: {error.strerror}") from error
+    if not manifest.paths(folder / manifest.FOLDER, "final"):
+        begin()
     write_plan_lines(cfg, cfg.evaluation.plans)
     return trainer.train(
         env,

@@ -39,13 +39,14 @@ class Trainings:
         self.rows = 0
         self.dies_at: int | None = None
 
-    def train(self, config, folder, more_loggers=()):
+    def train(self, config, folder, begin, more_loggers=()):
         comm = config.comm._target_.split(".")[2]
         self.begun.append((config.agent.lr, comm, config.seed))
         if comm == "zeroed":
             raise RuntimeError("no\nmessage")
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "config.yaml").write_text(OmegaConf.to_yaml(config))
+        begin()
         metrics = folder / "metrics.csv"
         if not metrics.is_file():
             metrics.write_text("frames,loss,validation/T_90\n")
