@@ -4,9 +4,9 @@ import sys
 
 from rich.console import Console
 
-from marl_clean.commands._study import Study, alone, pruner_of
 from marl_clean.commands._trial import run_trial
 from marl_clean.commands._trials import TABLE, print_trials, write_trials
+from marl_clean.commands._tune_study import Study, alone, pruner_of
 from marl_clean.commands.tune import Plan
 from marl_clean.storage.lock import Held
 

@@ -15,8 +15,8 @@ from omegaconf import DictConfig
 
 from marl_clean.commands._job import note_failure
 from marl_clean.commands._space import Space
-from marl_clean.commands._study import OpenTrial
 from marl_clean.commands._tune_settings import MINIMISE, VALIDATION, Measure
+from marl_clean.commands._tune_study import OpenTrial
 from marl_clean.commands.checks import check_all
 from marl_clean.commands.run_info import FAILED, LOG, last_frames
 from marl_clean.config.stored import METRICS, RUNS

@@ -13,8 +13,8 @@ from rich.table import Table
 from rich.text import Text
 
 from marl_clean.commands._space import Space
-from marl_clean.commands._study import Study
 from marl_clean.commands._tune_settings import Measure
+from marl_clean.commands._tune_study import Study
 from marl_clean.config.locate import named_plugins
 from marl_clean.errors import BadInput
 from marl_clean.storage import files

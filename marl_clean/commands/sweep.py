@@ -23,14 +23,8 @@ from marl_clean.commands._live import Watch, labels_of
 from marl_clean.commands.checks import check_all
 from marl_clean.commands.run_info import FAILED, LOG, is_finished
 from marl_clean.config.config_hash import config_hash
-from marl_clean.config.hydra_adapter import (
-    LAUNCHER,
-    Override,
-    check_launching,
-    first_line,
-    launch,
-    launchers,
-)
+from marl_clean.config.hydra_adapter import Override, first_line
+from marl_clean.config.hydra_launching import LAUNCHER, check_launching, launch, launchers
 from marl_clean.config.levels import EXPERIMENT, level_file
 from marl_clean.config.locate import named_plugins
 from marl_clean.config.overrides import parse_overrides

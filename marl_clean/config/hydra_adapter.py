@@ -1,73 +1,36 @@
-"""All that this package uses of Hydra: reading settings, composing a config, launching jobs.
+"""Hydra's reading of settings and composing of a config.
 
-Nothing else imports Hydra, whose inner modules move between its versions.
+Hydra is imported here and in `hydra_launching` alone: its inner modules move between versions.
 """
 
 import copy
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import islice
 from typing import Any
 
 from hydra import compose as hydra_compose
 from hydra import version
-from hydra._internal.callbacks import Callbacks
 from hydra._internal.hydra import Hydra
 from hydra._internal.utils import create_config_search_path
-from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Glob, IntervalSweep, OverrideType, RangeSweep, Sweep
 from hydra.core.override_parser.types import Override as Parsed
-from hydra.core.plugins import Plugins
-from hydra.core.utils import JobStatus
 from hydra.errors import HydraException
 from hydra.initialize import get_gh_backup, restore_gh_from_backup
-from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
-from marl_clean.config import _ray
 from marl_clean.config.levels import levels_in
 from marl_clean.config.locate import own, packages
 from marl_clean.config.presets import STUDY
-from marl_clean.config.schema import choices
-from marl_clean.errors import BadInput
 
 VERSION_BASE = "1.3"
 CONFIG_NAME = "config"
-LAUNCHER = "hydra/launcher"
 MOST_VALUES = 100_000  # of one key of a sweep
-LAUNCHERS = {  # what to install for those that do not come with Hydra
-    "joblib": "'marl-clean[sweep]'",
-    "ray": "'marl-clean[ray]'",
-    "rq": "hydra-rq-launcher",
-    "submitit_local": "'marl-clean[slurm]'",
-    "submitit_slurm": "'marl-clean[slurm]'",
-}
-
-LAUNCHING = "launching"  # a config without the rooms: each job composes its own
-RUNS_FOLDER = "runs"
-
-_ray.offer_ray()
-ConfigStore.instance().store(
-    name=LAUNCHING,
-    node={
-        "defaults": [
-            {"override hydra/job_logging": "none"},
-            {"override hydra/hydra_logging": "none"},
-        ],
-        "job": 0,
-        "hydra": {
-            "output_subdir": None,
-            "sweep": {"dir": RUNS_FOLDER, "subdir": "."},
-            "job": {"name": "marl-clean", "chdir": False},
-        },
-    },
-    provider="marl_clean",
-)
 
 
 @dataclass(frozen=True)
@@ -206,7 +169,7 @@ def _state_of_files() -> Hashable:
 
 
 def _by_hydra(settings: Iterable[str]) -> DictConfig:
-    with _hydra():
+    with hydra_here():
         try:
             config = hydra_compose(CONFIG_NAME, list(settings))
         except HydraException as error:
@@ -216,67 +179,13 @@ def _by_hydra(settings: Iterable[str]) -> DictConfig:
     return config
 
 
-def check_launching(overrides: Sequence[Override]) -> None:
-    """Raises BadInput where settings of Hydra's own name a level or key that does not exist."""
-    with _hydra() as hydra:
-        for override in overrides:
-            if override.is_sweep:
-                raise BadInput(f"{override.key}: is Hydra's own and takes one value")
-            if "/" in override.key:
-                _check_level(override, hydra.config_loader.get_group_options(override.key))
-        levels = [override for override in overrides if "/" in override.key]
-        known: Any = _for_launching(hydra, levels)
-        for override in overrides:
-            if "/" not in override.key:
-                _check_key(override.key, known)
-        _for_launching(hydra, overrides)
-
-
-def launchers() -> list[str]:
-    """The launchers that are installed."""
-    with _hydra() as hydra:
-        return list(hydra.config_loader.get_group_options(LAUNCHER))
-
-
-def launch(
-    task: Callable[[Sequence[str]], None],
-    jobs: Sequence[Sequence[str]],
-    overrides: Sequence[Override],
-) -> list[Exception | None]:
-    """Run `task` for every job's settings, by the launcher that `overrides` choose and set.
-
-    Hydra hands over the number of a job alone: it would compose a whole config for each. Return
-    what each job raised. Raises what the launcher itself does, as where a worker was killed.
-    """
-    with _hydra() as hydra:
-        config = _for_launching(hydra, overrides)
-        chosen = OmegaConf.to_object(config.hydra.launcher)
-        if isinstance(chosen, _ray.RayConf):
-            return _ray.launch_on_ray(task, jobs, chosen)
-        launcher = Plugins.instance().instantiate_launcher(
-            hydra_context=HydraContext(hydra.config_loader, Callbacks(config)),
-            task_function=partial(_hydra_job, task, jobs),
-            config=config,
-        )
-        numbers = [[f"job={number}"] for number in range(len(jobs))]
-        results = launcher.launch(numbers, initial_job_idx=0)
-    failed = (result.status is JobStatus.FAILED for result in results)
-    return [r._return_value if f else None for r, f in zip(results, failed, strict=True)]
-
-
-def _hydra_job(
-    task: Callable[[Sequence[str]], None], jobs: Sequence[Sequence[str]], launched: DictConfig
-) -> None:
-    task(list(jobs[launched.job]))
-
-
 def first_line(error: Exception) -> str:
     """The first line of an error's message, or its type where it has none."""
     return (str(error).strip() or type(error).__name__).splitlines()[0]
 
 
 @contextmanager
-def _hydra() -> Iterator[Hydra]:
+def hydra_here() -> Iterator[Hydra]:
     """Hydra over the packages' config folders, also inside another program or sweep."""
     outer_state = get_gh_backup()
     GlobalHydra.instance().clear()
@@ -289,30 +198,3 @@ def _hydra() -> Iterator[Hydra]:
         yield Hydra.create_main_hydra2("marl-clean", path)
     finally:
         restore_gh_from_backup(outer_state)
-
-
-def _for_launching(hydra: Hydra, overrides: Sequence[Override]) -> DictConfig:
-    settings = [override.setting for override in overrides]
-    try:
-        return hydra.compose_config(LAUNCHING, settings, run_mode=RunMode.MULTIRUN)
-    except (HydraException, OmegaConfBaseException) as error:
-        raise BadInput(f"{' '.join(settings)}: {first_line(error)}") from None
-
-
-def _check_level(override: Override, levels: Sequence[str]) -> None:
-    if override.value in levels:
-        return
-    if override.key == LAUNCHER and override.value in LAUNCHERS:
-        package = LAUNCHERS[override.value]
-        raise BadInput(f"{override.setting}: is not installed; pip install {package}")
-    raise BadInput(f"{override.setting}: no such level; {choices(override.text, levels)}")
-
-
-def _check_key(key: str, known: Any) -> None:
-    for part in key.split("."):
-        if not isinstance(known, DictConfig):
-            return
-        if part not in known:
-            names = [str(name) for name in known]
-            raise BadInput(f"{key}: no such key of Hydra's; {choices(part, names)}")
-        known = known._get_node(part)

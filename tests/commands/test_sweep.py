@@ -15,8 +15,9 @@ from marl_clean import cli
 from marl_clean.commands import sweep
 from marl_clean.commands._live import Pace, Watch, clock, labels_of
 from marl_clean.commands.run_info import State, look
-from marl_clean.config import hydra_adapter
-from marl_clean.config.hydra_adapter import LAUNCHER, Override
+from marl_clean.config import hydra_launching
+from marl_clean.config.hydra_adapter import Override
+from marl_clean.config.hydra_launching import LAUNCHER
 from marl_clean.errors import BadInput
 from marl_clean.storage.lock import locked
 from tests.reliability import short_jobs
@@ -140,7 +141,7 @@ def test_joblib_is_the_default_for_several_jobs_on_several_cores(monkeypatch):
 def test_a_missing_launcher_says_what_to_install(launcher, extra):
     override = Override(LAUNCHER, launcher, launcher, False, (), True)
     with pytest.raises(BadInput, match=f"is not installed; pip install .*{extra}"):
-        hydra_adapter._check_level(override, ["basic"])
+        hydra_launching._check_level(override, ["basic"])
 
 
 @pytest.mark.slow

@@ -214,9 +214,9 @@ def test_a_run_that_another_process_trains_is_left_to_it(trainings, capsys):
 
 @pytest.mark.slow
 def test_a_database_is_opened_by_one_process_at_a_time(trainings, monkeypatch):
-    from marl_clean.commands import _study
+    from marl_clean.commands import _tune_study
 
-    monkeypatch.setattr(_study, "OPENING_TRIES", 1)
+    monkeypatch.setattr(_tune_study, "OPENING_TRIES", 1)
     with locked(Path("runs/tune/a/opening")), pytest.raises(BadInput, match="opening: held by"):
         search(LR, "tune.trials=1", "tune.name=a")
     assert search(LR, "tune.trials=1", "tune.name=a")[0] == 0
