@@ -37,6 +37,7 @@ from marl_clean.storage import files, manifest
 from marl_clean.storage.lock import locked
 from marl_clean.trainer._outcome import Outcome
 
+GIF = "replay.gif"
 log = logging.getLogger(__name__)
 
 
@@ -78,7 +79,9 @@ def _made(
         begin()
         entries = measure_all(cfg, folder)
         write_entries(folder / MEASURED, entries)
-    draw(cfg, folder)
+    if draw(cfg, folder):
+        for section in cfg.logger.values():
+            instantiate(section, folder=folder).add_replay(folder / GIF, outcome.frames)
     return entries
 
 
@@ -205,20 +208,23 @@ def of_team(cfg: DictConfig, size: int) -> DictConfig:
     return team
 
 
-def draw(cfg: DictConfig, folder: Path) -> None:
+def draw(cfg: DictConfig, folder: Path) -> bool:
     """Draw what is not drawn yet: the learning curve beside nearest_unknown, and an episode.
 
     The episode is drawn as a GIF and recorded as data. Of an external task the curve alone.
+    Return whether an episode was drawn.
     """
-    metrics, curve, replay = (folder / name for name in (METRICS, "curve.png", "replay.gif"))
+    metrics, curve, replay = (folder / name for name in (METRICS, "curve.png", GIF))
     if metrics.is_file() and not curve.is_file():
         origin = Origin(command_line(), [config_hash(cfg)])
         draw_curve(metrics, curve, origin, planner_means(cfg) if has_houses(cfg) else None)
     recording = folder / REPLAY
-    if has_houses(cfg) and not (replay.is_file() and recording.is_file()):
-        policy = build.load_policy(folder).to(cfg.device)
-        make_replay(cfg, lambda env: policy, replay, cfg.evaluation.epsilon)
-        make_recording(cfg, lambda env: policy, recording, cfg.evaluation.epsilon)
+    if not has_houses(cfg) or (replay.is_file() and recording.is_file()):
+        return False
+    policy = build.load_policy(folder).to(cfg.device)
+    make_replay(cfg, lambda env: policy, replay, cfg.evaluation.epsilon)
+    make_recording(cfg, lambda env: policy, recording, cfg.evaluation.epsilon)
+    return True
 
 
 def planner_means(cfg: DictConfig) -> dict[str, float]:

@@ -35,6 +35,12 @@ class Logger(ABC):
     def close(self) -> None:
         """Write everything to the disk."""
 
+    def add_replay(self, gif: Path, frames: int) -> None:  # noqa: B027, most hold numbers alone
+        """Show the replay of a run that ended after `frames` frames, where pictures are shown.
+
+        Called after `close`, of a logger that may have logged nothing itself.
+        """
+
 
 def stored_settings(folder: Path) -> dict[str, Any]:
     """The settings of the run in a folder, as plain data; none where it has no config."""

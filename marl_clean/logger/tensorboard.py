@@ -4,9 +4,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import final
 
+from PIL import Image
+from tensorboard.compat.proto.summary_pb2 import Summary
 from torchrl.record.loggers import TensorboardLogger
 
 from marl_clean.logger.base import Logger
+
+RGB = 3  # TensorBoard's code of the colours
 
 
 @final
@@ -30,6 +34,19 @@ class TensorBoard(Logger):
         assert self.writer is not None, "resume() opens the file"
         for name, value in values.items():
             self.writer.log_scalar(name, value, step=frames)
+
+    def add_replay(self, gif: Path, frames: int) -> None:
+        """Write the GIF among the images, which TensorBoard plays; its videos are GIFs too."""
+        with Image.open(gif) as picture:
+            width, height = picture.size
+        image = Summary.Image(
+            width=width, height=height, colorspace=RGB, encoded_image_string=gif.read_bytes()
+        )
+        self.resume(frames)
+        assert self.writer is not None
+        summary = Summary(value=[Summary.Value(tag=gif.stem, image=image)])
+        self.writer.experiment.file_writer.add_summary(summary, frames)
+        self.close()
 
     def close(self) -> None:
         if self.writer is not None:

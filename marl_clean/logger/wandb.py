@@ -43,6 +43,15 @@ class Wandb(Logger):
         assert self.writer is not None, "resume() opens the run"
         self.writer.log_metrics(dict(values), step=frames, override_global_step=True)
 
+    def add_replay(self, gif: Path, frames: int) -> None:
+        """Log the GIF as it is, in the run of the training."""
+        import wandb
+
+        self.resume(frames)
+        assert self.writer is not None
+        self.writer.experiment.log({gif.stem: wandb.Video(str(gif), format="gif")}, step=frames)
+        self.close()
+
     def close(self) -> None:
         if self.writer is not None:
             self.writer.experiment.finish()

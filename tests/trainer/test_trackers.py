@@ -1,10 +1,12 @@
 """What Weights & Biases and MLflow hold after a run, read by their own means."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from marl_clean import BadInput, cli
 from marl_clean.commands import checks
@@ -46,6 +48,19 @@ def records_of(path: Path) -> Iterator[bytes]:
             record = b""
 
 
+def values_in(path: Path) -> dict[str, str]:
+    """What a file of wandb's has logged, as JSON by name."""
+    from wandb.proto import wandb_internal_pb2
+
+    values = {}
+    for data in records_of(path):
+        record = wandb_internal_pb2.Record()
+        record.ParseFromString(data)
+        for item in record.history.item:
+            values[item.key or ".".join(item.nested_key)] = item.value_json
+    return values
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the packages' own dependencies
 def test_mlflow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,6 +72,9 @@ def test_mlflow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert stored.info.run_name == "run" and stored.info.status == "FINISHED"
     assert stored.data.params["env.n_agents"] == "2"
     assert stored.data.params["agent.gamma"]
+    copy = client.download_artifacts(stored.info.run_id, "replay.gif", str(tmp_path))
+    assert Path(copy).read_bytes() == (run / "replay.gif").read_bytes()
+    assert {path.name for path in tmp_path.iterdir()} == {"runs", "replay.gif"}
     for frames, row in rows(run).items():
         for name in (name for name, value in row.items() if value):
             history = client.get_metric_history(stored.info.run_id, name)
@@ -71,7 +89,12 @@ def test_wandb_without_a_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     from wandb.proto import wandb_internal_pb2
 
     run = trained(tmp_path, monkeypatch, "wandb")
-    (path,) = (run / "wandb").glob("offline-run-*/*.wandb")
+    path, shown = sorted((run / "wandb").glob("offline-run-*/*.wandb"))
+    assert path.name == shown.name  # the same id
+    logged_last = values_in(shown)
+    assert logged_last["replay._type"] == '"video-file"'
+    gif = shown.parent / "files" / json.loads(logged_last["replay.path"])
+    assert gif.read_bytes() == (run / "replay.gif").read_bytes()
     logged: dict[int, dict[str, Any]] = {}
     settings: set[str] = set()
     for data in records_of(path):
@@ -86,6 +109,21 @@ def test_wandb_without_a_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     for frames, expected in rows(run).items():
         for name in (name for name, value in expected.items() if value):
             assert float(logged[frames][name]) == pytest.approx(float(expected[name])), name
+
+
+@pytest.mark.slow
+def test_tensorboard_plays_the_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    run = trained(tmp_path, monkeypatch, "tensorboard")
+    events = EventAccumulator(str(run / "tensorboard"))
+    events.Reload()
+    assert events.Tags()["images"] == ["replay"] and "validation/T_90" in events.Tags()["scalars"]
+    (event,) = events.Images("replay")
+    assert event.step == max(rows(run))
+    assert event.encoded_image_string == (run / "replay.gif").read_bytes()
+    with Image.open(run / "replay.gif") as picture:
+        assert (event.width, event.height) == picture.size
 
 
 @pytest.mark.slow
