@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from marl_clean.commands.command_line import command_line, issued
 from marl_clean.env import viewer
+from marl_clean.evaluation.paired import Row
 from marl_clean.evaluation.records import MEASURES, Entry, make_entry
 from marl_clean.evaluation.row_statistics import row_statistics
 from marl_clean.report import figures, floor_plan
@@ -16,7 +17,6 @@ from marl_clean.report.axes import LINES, MARKS, save_figure
 from marl_clean.report.comparison import draw_comparison
 from marl_clean.report.curve import plot_curve
 from marl_clean.report.origin import Origin
-from marl_clean.report.plots import Shown, curve, plots
 from marl_clean.report.profiles import draw_profiles
 from tests.report.reading import (
     LIGHTNESSES_APART,
@@ -42,17 +42,6 @@ def entry(name: str, first: int) -> Entry:
     return make_entry(name, "test", "ab" * 32, 0.0, 2, houses)
 
 
-def rows() -> list[Shown]:
-    from marl_clean.evaluation.paired import Row
-
-    entries = [entry(f"row {i}", 40 + 10 * i) for i in range(ROWS)]
-    statistics = row_statistics([Row(e["policy"], {0: e}) for e in entries], None)
-    return [
-        Shown(e["policy"], e, [e], row["finished_by"])
-        for e, row in zip(entries, statistics, strict=True)
-    ]
-
-
 def learning_curve() -> Figure:
     """A curve whose lines reach every corner, as those of coverage do."""
     frames = np.linspace(0, 1000, 30)
@@ -72,30 +61,14 @@ def comparison() -> Figure:
 
 
 def profiles() -> Figure:
-    from marl_clean.evaluation.paired import Row
-
     entries = [entry(f"row {i}", 40 + 10 * i) for i in range(ROWS)]
     return draw_profiles("q", row_statistics([Row(e["policy"], {0: e}) for e in entries], None))
-
-
-def learning_plot() -> Figure:
-    runs = {
-        f"row {i}": {"run": {"validation/T_100": [(0.0, 90.0), (9.0, 1.0 * i)]}}
-        for i in range(ROWS)
-    }
-    drawn = curve(runs, "T_100")
-    assert drawn is not None
-    return drawn.figure
 
 
 FIGURES = {
     "curve": learning_curve,
     "comparison": comparison,
     "profiles": profiles,
-    "times": lambda: plots(rows())[0].figure,
-    "finished": lambda: plots(rows())[1].figure,
-    "bits": lambda: plots(rows())[2].figure,
-    "learning": learning_plot,
 }
 
 
