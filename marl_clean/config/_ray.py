@@ -5,7 +5,10 @@ Not by `hydra-ray-launcher`: its last release wants cloudpickle below 3.
 
 import logging
 import os
+import signal
 import socket
+import sys
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -19,6 +22,7 @@ Task = Callable[[Sequence[str]], None]
 
 SAVING_SECONDS = 60.0  # for the jobs of a sweep that is interrupted
 ANSWER_SECONDS = 10.0  # for a cluster; Ray itself tries for minutes
+TERMINATED = 128 + signal.SIGTERM
 LEVEL = "ray"
 
 
@@ -60,12 +64,17 @@ def launch_on_ray(
     import ray
 
     dashboard = False if config.address is None else None  # of a cluster that is there already
+    terminated = threading.Event()
+    of_command = signal.getsignal(signal.SIGTERM)
     ray.init(
         config.address,
         include_dashboard=dashboard,
         log_to_driver=False,
         logging_level=logging.ERROR,
     )
+    if in_main_thread := threading.current_thread() is threading.main_thread():
+        # Ray's own handler prints a stack and exits with 1; its `get` makes a 1 of any exit code.
+        signal.signal(signal.SIGTERM, _terminating(terminated))
     try:
         run = ray.remote(
             num_cpus=config.num_cpus, num_gpus=config.num_gpus, max_retries=config.max_retries
@@ -77,9 +86,23 @@ def launch_on_ray(
             for job in pending:
                 ray.cancel(job)
             ray.wait(pending, num_returns=len(pending), timeout=SAVING_SECONDS)
+            if terminated.is_set():
+                raise SystemExit(TERMINATED) from None
             raise
     finally:
         ray.shutdown()
+        if in_main_thread:
+            signal.signal(signal.SIGTERM, of_command)
+
+
+def _terminating(terminated: threading.Event) -> Callable[..., None]:
+    """A handler of SIGTERM that notes it and ends the command."""
+
+    def handler(*_: object) -> None:
+        terminated.set()
+        sys.exit(TERMINATED)
+
+    return handler
 
 
 def _check_answers(address: str) -> None:

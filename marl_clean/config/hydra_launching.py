@@ -17,6 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from marl_clean.config import _ray
 from marl_clean.config.hydra_adapter import Override, first_line, hydra_here
 from marl_clean.config.schema import choices
+from marl_clean.config.stored import RUNS
 from marl_clean.errors import BadInput
 
 LAUNCHER = "hydra/launcher"
@@ -29,7 +30,6 @@ LAUNCHERS = {  # what to install for those that do not come with Hydra
 }
 
 LAUNCHING = "launching"  # a config without the rooms: each job composes its own
-RUNS_FOLDER = "runs"
 
 _ray.offer_ray()
 ConfigStore.instance().store(
@@ -42,7 +42,7 @@ ConfigStore.instance().store(
         "job": 0,
         "hydra": {
             "output_subdir": None,
-            "sweep": {"dir": RUNS_FOLDER, "subdir": "."},
+            "sweep": {"dir": str(RUNS), "subdir": "."},
             "job": {"name": "marl-clean", "chdir": False},
         },
     },

@@ -1,5 +1,6 @@
 """Sweeps on a Ray cluster of several nodes on this machine; it is skipped where Ray is missing."""
 
+import signal
 import subprocess
 import time
 from collections import Counter
@@ -42,6 +43,29 @@ def test_jobs_of_a_killed_node_are_begun_anew_on_another(tmp_path: Path, monkeyp
     ends = [count for (event, _), count in events.items() if event == "end"]
     assert ends == [1] * JOBS
     assert sum(count for (event, _), count in events.items() if event == "begin") == JOBS + 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_the_jobs_too_which_note_it(tmp_path: Path, sent: int, code: int) -> None:
+    pytest.importorskip("ray", reason="extra `ray`")
+    settings = environment(tmp_path / "path", seconds=60.0) | {"RAY_worker_niceness": "0"}
+    printed = tmp_path / "printed.txt"
+    with printed.open("wb") as file:
+        sweep = subprocess.Popen(
+            command("ray", 3), cwd=tmp_path, env=settings, stdout=file, stderr=file
+        )
+    deadline = time.monotonic() + 120
+    while not training(tmp_path):
+        assert sweep.poll() is None and time.monotonic() < deadline
+        time.sleep(0.05)
+    begun = list(training(tmp_path))
+    sweep.send_signal(sent)
+    assert sweep.wait(100) == code, printed.read_text()
+    assert "*** SIG" not in printed.read_text()
+    logs = [(tmp_path / "runs" / name / "job.log").read_text() for name in begun]
+    assert all("stopped by a signal" in log for log in logs)
+    assert not list(tmp_path.glob("runs/*/failed.txt"))
 
 
 @pytest.mark.slow
