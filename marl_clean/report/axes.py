@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib
 import numpy as np
@@ -99,3 +99,16 @@ def save_figure(figure: Figure, stem: Path, origin: Origin) -> list[Path]:
         figure.savefig(paths[0], dpi=200, metadata=undated)  # dpi of images in it alone
         figure.savefig(paths[1], dpi=200, metadata=origin.metadata())
     return paths
+
+
+def legend_below(figure: Figure, side: Literal["center", "right"]) -> None:
+    """Put one legend of all panels under them."""
+    named = {
+        label: handle
+        for axes in figure.axes
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    place: Any = f"outside lower {side}"  # Matplotlib types it by a list of all of them
+    figure.legend(
+        list(named.values()), list(named), loc=place, frameon=False, fontsize=7, ncols=len(named)
+    )

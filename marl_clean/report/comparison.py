@@ -12,7 +12,7 @@ from marl_clean.env.viewer import INK, ROBOTS
 from marl_clean.evaluation.paired import LEVEL
 from marl_clean.evaluation.records import Entry, runs_of, sample, share_reached
 from marl_clean.evaluation.table import YARDSTICK
-from marl_clean.report.axes import STYLE, new_figure, seeds_label, unit
+from marl_clean.report.axes import STYLE, legend_below, new_figure, seeds_label, unit
 
 TIMES = ("T_90", "T_100")
 PANEL, CHARACTER = 2.35, 0.07  # inches: a panel as wide as its title, a letter of a row's name
@@ -51,15 +51,7 @@ def draw_comparison(
             _draw_differences(axes, list(rows), differences, measure)
         panels[0].set_yticks(range(len(rows)), names)
         panels[0].set_ylim(len(rows) - 0.5, -0.5)
-        named = {
-            label: handle
-            for axes in panels
-            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-        }
-        figure.legend(
-            named.values(), named.keys(),
-            frameon=False, fontsize=7, ncols=len(named), loc="outside lower right",
-        )  # fmt: skip
+        legend_below(figure, "right")
         return figure
 
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
 from marl_clean.env.viewer import INK
-from marl_clean.report.axes import STYLE, new_figure, row_style, unit
+from marl_clean.report.axes import STYLE, legend_below, new_figure, row_style, unit
 from marl_clean.report.metrics import FRAMES, Series, read_metrics
 from marl_clean.report.origin import Origin
 from marl_clean.storage import files
@@ -62,15 +62,7 @@ def plot_curve(columns: Mapping[str, Series], rival: Mapping[str, float]) -> Fig
             )
     for panel in axes[len(shown) :]:
         panel.set_axis_off()
-    named = {
-        label: handle
-        for panel in axes
-        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(
-        named.values(), named.keys(),
-        frameon=False, fontsize=7, ncols=len(named), loc="outside lower center",
-    )  # fmt: skip
+    legend_below(figure, "center")
     return figure
 
 
