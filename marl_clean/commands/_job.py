@@ -19,6 +19,8 @@ from marl_clean.errors import BadInput
 from marl_clean.storage import files
 from marl_clean.storage.lock import Held, check_free
 
+MOST_DEATHS = 3  # of a job, whose process is killed each time; then it counts as failed
+KILLED = f"its process was killed {MOST_DEATHS} times (out of memory?)"
 LOGGED_BYTES = 64 << 10  # of the log, in the file of a failure
 
 

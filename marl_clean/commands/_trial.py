@@ -13,7 +13,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from marl_clean.commands._job import note_failure
+from marl_clean.commands._job import KILLED, MOST_DEATHS, note_failure
 from marl_clean.commands._space import Space
 from marl_clean.commands._tune_settings import MINIMISE, VALIDATION, Measure
 from marl_clean.commands._tune_study import OpenTrial
@@ -23,8 +23,6 @@ from marl_clean.config.stored import METRICS, RUNS
 from marl_clean.errors import BadInput
 from marl_clean.logger.base import Logger
 from marl_clean.storage.lock import Held, locked
-
-MOST_DEATHS = 3  # of a trial, whose process is killed each time at the same frames
 
 
 class Pruned(Exception):
@@ -151,7 +149,7 @@ def _check_deaths(trial: OpenTrial, folder: Path) -> None:
     before = trial.noted("begun")
     times = before["times"] + 1 if before and before["at"] == [folder.name, frames] else 1
     if times > MOST_DEATHS:
-        raise BadInput(f"its process was killed {MOST_DEATHS} times (out of memory?)")
+        raise BadInput(KILLED)
     trial.note("begun", {"at": [folder.name, frames], "times": times})
 
 

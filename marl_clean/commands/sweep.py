@@ -18,7 +18,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from marl_clean.commands._ending import Ending, print_endings
-from marl_clean.commands._job import note_failure, train_job
+from marl_clean.commands._job import KILLED, MOST_DEATHS, note_failure, train_job
 from marl_clean.commands._live import Watch, labels_of
 from marl_clean.commands.checks import check_all
 from marl_clean.commands.run_info import FAILED, LOG, is_finished
@@ -35,7 +35,6 @@ from marl_clean.storage.lock import holder
 
 IN_TURN, JOBLIB = "basic", "joblib"
 ON_THIS_MACHINE = (IN_TURN, JOBLIB)  # launchers
-MOST_DEATHS = 3  # of a job, whose process is killed each time
 SETTLE_SECONDS = 0.5
 CLOCK_SECONDS = 0.1  # that the times of files may lag behind
 
@@ -148,8 +147,7 @@ def run_missing(jobs: Sequence[Job], of_hydra: Sequence[Override]) -> None:
             for job in died:
                 deaths[job.folder] += 1
                 if deaths[job.folder] >= MOST_DEATHS:
-                    times = f"its process was killed {MOST_DEATHS} times"
-                    note_failure(job.folder, f"{times} (out of memory?)", job.settings)
+                    note_failure(job.folder, KILLED, job.settings)
             left = [job for job in left if not _ended(job)]
         else:
             for job, failure in zip(left, errors, strict=True):
