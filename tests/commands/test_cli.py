@@ -6,7 +6,6 @@ import resource
 import signal
 import subprocess
 import sys
-import types
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 
@@ -26,7 +25,7 @@ from marl_clean.errors import BadInput
 from tests.commands import bad_commands
 from tests.commands.bad_commands import BAD_COMMANDS, MORE_BAD_COMMANDS, complaint
 from tests.families import family
-from tests.reliability.short_jobs import finish
+from tests.reliability.short_jobs import finish, train_by
 
 SWEEPING = [
     path.stem for path in sorted((conf_folder() / "experiment").glob("*.yaml")) if sweep_of(path)
@@ -166,7 +165,6 @@ def test_a_run_that_exists_is_not_overwritten_by_another_config(
 @pytest.fixture
 def trained(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The names of the runs that a stand-in for training was asked for, in order."""
-    import marl_clean
 
     names = []
 
@@ -176,10 +174,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         finish(config, folder)
         names.append(str(folder.relative_to("runs")))
 
-    stand_in = types.ModuleType("marl_clean.commands.train")
-    stand_in.main = main  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "marl_clean.commands.train", stand_in)
-    monkeypatch.setattr(marl_clean.commands, "train", stand_in, raising=False)
+    train_by(monkeypatch, main=main)
     return names
 
 

@@ -2,8 +2,6 @@
 
 import copy
 import io
-import sys
-import types
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,6 @@ import yaml
 from omegaconf import OmegaConf
 from rich.console import Console
 
-import marl_clean.commands
 from marl_clean import cli
 from marl_clean.commands import study, study_report
 from marl_clean.commands.frozen import FROZEN, read_frozen
@@ -71,10 +68,7 @@ def trained(tmp_path, monkeypatch) -> list[str]:
             times = MEANS[folder.name.partition("-")[0]] + rng.normal(0, 1, 20)
             write_entries(folder / "evaluation.json", entries(config, times))
 
-    stand_in = types.ModuleType("marl_clean.commands.train")
-    stand_in.main = main
-    monkeypatch.setitem(sys.modules, stand_in.__name__, stand_in)
-    monkeypatch.setattr(marl_clean.commands, "train", stand_in, raising=False)
+    short_jobs.train_by(monkeypatch, main=main)
     return names
 
 

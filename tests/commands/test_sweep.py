@@ -4,13 +4,11 @@ import io
 import os
 import subprocess
 import sys
-import types
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
-import marl_clean.commands
 from marl_clean import cli
 from marl_clean.commands import sweep
 from marl_clean.commands._live import Pace, Watch, clock, labels_of
@@ -40,10 +38,7 @@ def trained(tmp_path, monkeypatch) -> list[int]:
                 raise RuntimeError("thir\nteen")
             short_jobs.finish(config, folder)
 
-    stand_in = types.ModuleType("marl_clean.commands.train")
-    stand_in.main = main
-    monkeypatch.setitem(sys.modules, stand_in.__name__, stand_in)
-    monkeypatch.setattr(marl_clean.commands, "train", stand_in, raising=False)
+    short_jobs.train_by(monkeypatch, main=main)
     return seeds
 
 

@@ -2,15 +2,12 @@
 
 import csv
 import io
-import sys
-import types
 from pathlib import Path
 
 import pytest
 from omegaconf import OmegaConf
 from rich.console import Console
 
-import marl_clean.commands
 from marl_clean import cli
 from marl_clean.commands import tune
 from marl_clean.commands._space import Dimension, read_space
@@ -19,6 +16,7 @@ from marl_clean.config.compose import compose_config
 from marl_clean.errors import BadInput
 from marl_clean.storage.lock import locked
 from marl_clean.trainer._outcome import Outcome
+from tests.reliability.short_jobs import train_by
 from tests.trainer.killing import Killed
 
 LR = "agent.lr=tag(log,interval(1e-4,1e-2))"
@@ -69,10 +67,7 @@ def trainings(tmp_path, monkeypatch) -> Trainings:
     pytest.importorskip("optuna", reason="extra `tune`")
     monkeypatch.chdir(tmp_path)
     trainings = Trainings()
-    stand_in = types.ModuleType("marl_clean.commands.train")
-    stand_in.train = trainings.train
-    monkeypatch.setitem(sys.modules, stand_in.__name__, stand_in)
-    monkeypatch.setattr(marl_clean.commands, "train", stand_in, raising=False)
+    train_by(monkeypatch, train=trainings.train)
     return trainings
 
 

@@ -27,6 +27,16 @@ def install() -> None:
     sys.modules[stand_in.__name__] = stand_in
 
 
+def train_by(monkeypatch: Any, **functions: Any) -> None:
+    """Put `functions` in the place of `marl_clean.commands.train`, for one test."""
+    import marl_clean.commands
+
+    stand_in = types.ModuleType("marl_clean.commands.train")
+    vars(stand_in).update(functions)
+    monkeypatch.setitem(sys.modules, stand_in.__name__, stand_in)
+    monkeypatch.setattr(marl_clean.commands, "train", stand_in, raising=False)
+
+
 def environment(folder: Path, seconds: float = 1.0) -> dict[str, str]:
     """The environment of processes whose trainings are this stand-in."""
     folder.mkdir(parents=True, exist_ok=True)
