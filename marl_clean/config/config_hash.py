@@ -18,6 +18,7 @@ LATER: dict[str, Any] = {
     "agent.mask_walls": False,
     "trainer.imitate": None,
     "trainer.imitate_frames_share": 0.1,
+    "trainer.imitate_states": "planner",
     "agent.gamma_end": None,
     "agent.gamma_rises_with": "progress",
     "agent.entropy_coeff_end": None,

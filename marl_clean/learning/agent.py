@@ -77,9 +77,10 @@ class Agent(ABC):
     ) -> TensorDictModuleBase:
         """Return the policy by which a planner collects experience, explored around as usual.
 
-        `planner` writes the actions, and writes them under `demonstration` too; what the network
-        carries, and says of a frame, is recorded as in `exploration`. With `demonstrated` the keys
-        of `learns_from` hold the demonstration, -1 where no planner acts, and `update` learns it.
+        `planner` writes its actions under `demonstration`, and over the learner's in all or a
+        share of the steps; what the network carries, and says of a frame, is recorded as in
+        `exploration`. With `demonstrated` the keys of `learns_from` hold the demonstration, -1
+        where no planner was asked, and `update` learns it.
 
         Raises:
             BadInput: the learner cannot learn from a planner.

@@ -16,20 +16,30 @@ from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.errors import BadInput
 from marl_clean.learning.agent import Agent
 from marl_clean.planner.base import Planner
+from marl_clean.settings import StatesOf
 
 
 class Demonstrator(TensorDictModuleBase):
-    """A planner's actions, also recorded as demonstrations."""
+    """A planner's actions, recorded as demonstrations in every step and taken in a share of them.
+
+    Attributes:
+        share: of the steps of a world in which its robots do what the planner does; in the others
+            the actions stay that the frame holds.
+    """
 
     def __init__(self, planner: Planner) -> None:
         super().__init__()
-        self.planner = planner
+        self.planner, self.share = planner, 1.0
         self.in_keys = list(planner.in_keys)
         self.out_keys = [keys.ACTION, keys.DEMONSTRATION]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = self.planner.act()
-        return tensordict.set(keys.ACTION, action).set(keys.DEMONSTRATION, action.clone())
+        planned = self.planner.act()
+        action = planned.clone()
+        if self.share < 1.0:
+            draw = torch.rand(planned.shape[:-1], device=planned.device).unsqueeze(-1)
+            action = torch.where(draw < self.share, planned, tensordict[keys.ACTION])
+        return tensordict.set(keys.ACTION, action).set(keys.DEMONSTRATION, planned)
 
 
 class Switching(TensorDictModuleBase):
@@ -55,11 +65,15 @@ class Switching(TensorDictModuleBase):
 class WarmStart:
     """Lets a planner act for the first frames of a run; without one the learner always acts.
 
+    In states of the learner the planner acts in a share of the steps that falls from 1 to 0 over
+    these frames, and says in all of them what it would do. Source: DAgger, arXiv 1011.0686.
+
     Args:
         agent: with a planner it also learns from the demonstrations.
         env: the env that the planner plans for.
         imitate: the planner's name; None: there are no demonstrations.
-        until: the frames after which the learner acts itself.
+        until: the frames after which there are no demonstrations.
+        states: whose states they are of, the planner's or, more and more, the learner's own.
 
     Attributes:
         policy: the policy of the collector.
@@ -68,8 +82,15 @@ class WarmStart:
         BadInput: a learner that cannot imitate, or an env without houses.
     """
 
-    def __init__(self, agent: Agent, env: EnvBase, imitate: str | None, until: float) -> None:
-        self.until = until
+    def __init__(
+        self,
+        agent: Agent,
+        env: EnvBase,
+        imitate: str | None,
+        until: float,
+        states: StatesOf = "planner",
+    ) -> None:
+        self.until, self.states = until, states
         self.planner: Planner | None = None
         self.policy = exploring = agent.exploration(env.full_action_spec)
         if imitate is None:
@@ -79,13 +100,16 @@ class WarmStart:
         planner = instantiate(DictConfig(read_level("planner", imitate)))
         self.planner = planner.bind(env.base_env)
         agent.demonstrated = True
-        planned = agent.demonstrated_by(Demonstrator(planner), env.full_action_spec)
+        self.demonstrator = Demonstrator(planner)
+        planned = agent.demonstrated_by(self.demonstrator, env.full_action_spec)
         self.policy = Switching(exploring, planned)
 
     def at(self, frames: int) -> None:
         """Choose the policy that acts after this number of frames."""
         if isinstance(self.policy, Switching):
             self.policy.demonstrates = frames < self.until
+            if self.policy.demonstrates and self.states == "learner":
+                self.demonstrator.share = 1.0 - frames / self.until
 
     def state(self) -> dict[str, Tensor]:
         """Return the planner's memory."""

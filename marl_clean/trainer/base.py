@@ -18,6 +18,7 @@ from marl_clean import keys
 from marl_clean.errors import BadInput
 from marl_clean.learning.agent import Agent
 from marl_clean.logger.base import CLOCK, Logger, Progress
+from marl_clean.settings import StatesOf
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer._annealing import Annealing
 from marl_clean.trainer._collecting import CarriedCollector
@@ -53,6 +54,7 @@ class Trainer(ABC):
     curriculum: tuple[int, float, int]
     imitate: str | None = None
     imitate_frames_share: float = 0.0
+    imitate_states: StatesOf = "planner"
 
     @abstractmethod
     def begin(
@@ -141,7 +143,7 @@ class TrainingLoop(ABC):
         self.curriculum = Curriculum(*settings.curriculum)
         self.curriculum.open_houses(env.base_env)
         shown = settings.imitate_frames_share * settings.total_frames
-        self.warm_start = WarmStart(agent, env, settings.imitate, shown)
+        self.warm_start = WarmStart(agent, env, settings.imitate, shown, settings.imitate_states)
         self.collector = CarriedCollector(
             env,
             self.warm_start.policy,

@@ -17,6 +17,7 @@ from marl_clean.settings import (
     PositiveFloat,
     PositiveInt,
     Probability,
+    StatesOf,
 )
 from marl_clean.storage.checkpoint import Checkpoints
 from marl_clean.trainer._collecting import Rows, Windows, replay_state, restore_replay
@@ -46,6 +47,8 @@ class OffPolicy(Trainer):
         curriculum_stages, curriculum_promote_at, curriculum_window_episodes: see `Curriculum`.
         imitate, imitate_frames_share: a planner that acts, and is learnt from, for this share of
             the frames at the start; null: none.
+        imitate_states: planner: those that it comes to. learner: it acts less and less, and is
+            learnt from in the states that the learner comes to.
     """
 
     def __init__(
@@ -65,6 +68,7 @@ class OffPolicy(Trainer):
         curriculum_window_episodes: PositiveInt = 500,
         imitate: str | None = None,
         imitate_frames_share: Probability = 0.1,
+        imitate_states: StatesOf = "planner",
         window_frames: PositiveInt = 8,
     ) -> None:
         self.total_frames = total_frames
@@ -80,6 +84,7 @@ class OffPolicy(Trainer):
         self.window_frames = window_frames
         self.curriculum = curriculum_stages, curriculum_promote_at, curriculum_window_episodes
         self.imitate, self.imitate_frames_share = imitate, imitate_frames_share
+        self.imitate_states = imitate_states
 
     def longest_row(self, env: EnvBase) -> tuple[str, int]:
         return "window_frames", self.window_frames

@@ -9,7 +9,7 @@ from torchrl.envs import EnvBase
 
 from marl_clean.learning.agent import Agent
 from marl_clean.logger.base import Logger
-from marl_clean.settings import PositiveInt, Probability
+from marl_clean.settings import PositiveInt, Probability, StatesOf
 from marl_clean.storage.checkpoint import Checkpoints
 from marl_clean.trainer._tally import check_finite
 from marl_clean.trainer.base import Evaluate, Trainer, TrainingLoop
@@ -34,6 +34,8 @@ class OnPolicy(Trainer):
         curriculum_stages, curriculum_promote_at, curriculum_window_episodes: see `Curriculum`.
         imitate, imitate_frames_share: a planner that acts, and is learnt from, for this share of
             the frames at the start; null: none.
+        imitate_states: planner: those that it comes to. learner: it acts less and less, and is
+            learnt from in the states that the learner comes to.
     """
 
     def __init__(
@@ -51,6 +53,7 @@ class OnPolicy(Trainer):
         curriculum_window_episodes: PositiveInt = 500,
         imitate: str | None = None,
         imitate_frames_share: Probability = 0.1,
+        imitate_states: StatesOf = "planner",
     ) -> None:
         self.total_frames = total_frames
         self.frames_per_batch = frames_per_batch
@@ -62,6 +65,7 @@ class OnPolicy(Trainer):
         self.select_by = select_by
         self.curriculum = curriculum_stages, curriculum_promote_at, curriculum_window_episodes
         self.imitate, self.imitate_frames_share = imitate, imitate_frames_share
+        self.imitate_states = imitate_states
 
     def longest_row(self, env: EnvBase) -> tuple[str, int]:
         return "frames_per_batch", self.frames_per_batch // env.batch_size.numel()

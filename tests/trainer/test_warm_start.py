@@ -12,6 +12,8 @@ from marl_clean.errors import BadInput
 from marl_clean.learning.agent import Agent
 from marl_clean.learning.losses import MARGIN, cross_entropy, margin_loss
 from marl_clean.logger.csv import Csv
+from marl_clean.planner.nearest_unknown import NearestUnknown
+from marl_clean.settings import StatesOf
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer._warm_start import WarmStart
 from marl_clean.trainer.off_policy import OffPolicy
@@ -49,14 +51,14 @@ def settings(level: str, *others: str) -> list[str]:
     return [*SMALL, f"agent={level}", f"trainer={loop}", *comm, *of_loop, *others]
 
 
-def shown(level: str, *others: str, epsilon: float = 0.0):
+def shown(level: str, *others: str, epsilon: float = 0.0, states: StatesOf = "planner"):
     """A learner, its warm start by nearest_unknown, and frames of it."""
     config = compose_config(settings(level, *others))
     torch.manual_seed(0)
     env = build.make_env(config)
     agent = build.make_agent(config, env)
     env = build.ready_for(agent, env)
-    start = WarmStart(agent, env, "nearest_unknown", until=100.0)
+    start = WarmStart(agent, env, "nearest_unknown", until=100.0, states=states)
     if level not in ("ippo", "mappo"):
         for coin in agent.exploring._coins:
             coin.eps.fill_(epsilon)
@@ -110,6 +112,38 @@ def test_the_planner_acts_first_and_the_learner_then(level: str) -> None:
     assert (own[keys.DEMONSTRATION] == -1).all()
     assert keys.DEMONSTRATION in agent.learns_from
     assert set(own.keys(True, True)) == set(frames.keys(True, True))
+
+
+@family("level", LEARNERS, fast=2)
+def test_a_planner_says_what_it_would_do_where_the_learner_goes(level: str) -> None:
+    agent, env, start = shown(level, states="learner")
+    planner = NearestUnknown().bind(env.base_env)
+    start.at(99)
+    frame, others = env.reset(), 0
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
+        for _ in range(12):
+            would_do = planner.act()
+            frame, later = env.step_and_maybe_reset(start.policy(frame))
+            assert torch.equal(frame[keys.DEMONSTRATION], would_do)
+            others += int((frame[keys.ACTION] != would_do).sum())
+            frame = later
+    assert others
+    start.at(100)
+    assert (collected(env, start)[keys.DEMONSTRATION] == -1).all()
+
+
+def test_the_planner_acts_less_and_less_in_states_of_the_learner() -> None:
+    _, env, start = shown("ippo", "env.num_envs=64", states="learner")
+    for frames, share in ((0, 1.0), (25, 0.75), (75, 0.25)):
+        start.at(frames)
+        acts = []
+        for _ in range(20):
+            frame = env.reset()
+            frame[keys.ACTION] = torch.full((64, 2), -1)
+            acts.append(start.demonstrator(frame)[keys.ACTION] >= 0)
+        taken = torch.stack(acts)
+        assert abs(taken.float().mean().item() - share) < 0.05
+        assert torch.equal(taken[..., 0], taken[..., 1])  # in a world the planner, or the learner
 
 
 def test_demonstrations_are_recorded_where_a_robot_acts_at_random() -> None:
@@ -191,12 +225,19 @@ def train(folder, overrides: list[str], die_after: int | None = None) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("one_thread")
 @pytest.mark.parametrize(
-    ("level", "planner"), [("iql", "smart_dfs"), ("pqn", "nearest_unknown"), ("ippo", "spiral")]
+    ("level", "planner", "states"),
+    [
+        ("iql", "smart_dfs", "planner"),
+        ("pqn", "nearest_unknown", "learner"),
+        ("ippo", "spiral", "planner"),
+    ],
 )
-def test_a_killed_run_ends_as_the_uninterrupted_one(tmp_path, level: str, planner: str) -> None:
+def test_a_killed_run_ends_as_the_uninterrupted_one(
+    tmp_path, level: str, planner: str, states: str
+) -> None:
     often = ["log_interval_frames=128", "eval_interval_frames=256"]
     often += ["total_frames=320", "frames_per_batch=64", "checkpoint_interval_frames=128"]
-    shows = [f"imitate={planner}", "imitate_frames_share=0.6"]
+    shows = [f"imitate={planner}", "imitate_frames_share=0.6", f"imitate_states={states}"]
     overrides = settings(level, *(f"trainer.{setting}" for setting in (*often, *shows)))
     train(tmp_path / "whole", overrides)
     with pytest.raises(Killed):
