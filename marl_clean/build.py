@@ -22,6 +22,7 @@ from marl_clean.env.action_mask import KnownWalls
 from marl_clean.env.channel_seed import ChannelSeed
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.env.global_state import GlobalState
+from marl_clean.env.offsets import Offsets
 from marl_clean.env.shaping import Potential, Shaping
 from marl_clean.env.transformed import TransformedWorlds
 from marl_clean.errors import BadInput
@@ -93,6 +94,8 @@ def make_env(
         further.append(GlobalState())
     if cfg.agent.get("mask_walls", False):
         further.append(KnownWalls())
+    if cfg.comm.get("places", False):
+        further.append(Offsets())
     weight = env.rules.shaping if shaped else 0.0
     if weight:
         further.append(Potential())

@@ -11,6 +11,8 @@ POSITION = (AGENTS, "position")  # *B n 2 int64, (row, col) in the house
 ADJACENCY = (AGENTS, "adjacency")  # *B n n bool, symmetric, false on the diagonal
 POTENTIAL = (AGENTS, "potential")  # *B n 1 float32: of shaping, 0 to -60
 DISTANCE_RANK = (AGENTS, "distance_rank")  # *B n n int64, 0 itself, 1 the nearest, ...
+OFFSET = (AGENTS, "offset")  # *B n n 2 int64, [i, j]: (row, col) from i to j; on demand
+GRAPH = (ADJACENCY, DISTANCE_RANK, OFFSET)  # who may talk to whom, and who is where
 
 ACTION = (AGENTS, "action")  # *B n int64: 0 up, 1 right, 2 down, 3 left
 ACTION_MASK = (AGENTS, "action_mask")  # *B n 4 bool: true where an action may be chosen

@@ -3,10 +3,10 @@
 from abc import abstractmethod
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from marl_clean.comm.base import Comm, Width, outgoing, sum_live
+from marl_clean.comm.base import Comm, Senders, Width, outgoing, sum_live
 
 State = tuple[Tensor, ...]  # W_x feature, the hidden state, and what a scheme adds
 
@@ -48,7 +48,7 @@ class HiddenStates(Comm):
         state: State,
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
-        distance_rank: Int[Tensor, "*batch agent other"],
+        senders: Senders,
         round_index: int,
     ) -> State:
         skip, hidden, *further = state

@@ -3,23 +3,23 @@
 from typing import Literal
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from marl_clean.comm.base import Comm, Width, dense, nearest_live, sum_live
+from marl_clean.comm.base import Comm, Senders, Width, dense, nearest_live, sum_live
 
 
 class Joining(Comm):
     """Send one message a step, and join each robot's features with those it receives.
 
         r_j = relu(W_r m_j)                       a received message, through its own block
-        ordered: c_i = [r_j of i's nearest live edge, of the next, ..., 0 for an empty place]
+        ordered: c_i = [r_j of i's nearest live edge, of the next, ..., 0 for an empty slot]
         sum:     c_i = sum over live edges of r_j
         h'_i = relu(W [relu(W_o h_i), c_i])
 
     Attributes:
         message: the module from a robot's features to its message.
-        places: of `ordered`; None for `sum`.
+        slots: neighbours that `ordered` has room for; None for `sum`.
     """
 
     def __init__(
@@ -33,11 +33,11 @@ class Joining(Comm):
         max_neighbours: Width,
     ) -> None:
         super().__init__()
-        self.places = max_neighbours if combine == "ordered" else None
+        self.slots = max_neighbours if combine == "ordered" else None
         self.message = message
         self.received = dense(message_dim, received)
         self.own = dense(in_features, hidden)
-        self.join = dense(hidden + received * (self.places or 1), hidden)
+        self.join = dense(hidden + received * (self.slots or 1), hidden)
         self.message_dims, self.out_features = (message_dim,), hidden
 
     def speak(
@@ -50,14 +50,14 @@ class Joining(Comm):
         state: Float[Tensor, "*batch agent feature"],
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
-        distance_rank: Int[Tensor, "*batch agent other"],
+        senders: Senders,
         round_index: int,
     ) -> Float[Tensor, "*batch agent joined"]:
         received = self.received(heard)
-        if self.places is None:
+        if self.slots is None:
             neighbours = sum_live(received, live)
         else:
-            neighbours = nearest_live(received, live, distance_rank, self.places)
+            neighbours = nearest_live(received, live, senders.distance_rank, self.slots)
         return self.join(torch.cat([self.own(state), neighbours], dim=-1))
 
 

@@ -54,6 +54,20 @@ class Direct(Delivery):
         return message, self.sent
 
 
+class Senders(NamedTuple):
+    """Where the robots that may be heard are, seen from each that may hear them.
+
+    Attributes:
+        distance_rank: `[*B, n, n]` int, [i, j]: the rank of j among the others seen from i; 0 is i
+            itself, 1 its nearest.
+        offset: `[*B, n, n, 2]` float, [i, j]: (row, col) in cells from i to j, 0 over edges that
+            are not live or not in contact now; None unless the scheme's `places`.
+    """
+
+    distance_rank: Tensor
+    offset: Tensor | None = None
+
+
 class Talk(NamedTuple):
     """The result of one step of communication.
 
@@ -95,6 +109,7 @@ class Comm(nn.Module, ABC):
         detach: a receiver's loss does not reach the sender's features.
         pull: weight of a loss that pulls attention towards that of the next frame.
         delay_steps: steps after which a message is heard, as part of the scheme.
+        places: `listen` gets the senders' offsets, which robots in contact know of each other.
         out_features: length of the features it gives.
     """
 
@@ -105,6 +120,7 @@ class Comm(nn.Module, ABC):
     detach: bool = False
     pull: float = 0.0
     delay_steps: int = 0
+    places: bool = False
 
     @property
     def rounds(self) -> int:
@@ -138,13 +154,12 @@ class Comm(nn.Module, ABC):
         state: Any,
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
-        distance_rank: Int[Tensor, "*batch agent other"],
+        senders: Senders,
         round_index: int,
     ) -> Any:
         """Return the state after a round: robot i heard the message of j over each live [i, j].
 
-        `distance_rank` [i, j] is the rank of j among the others seen from i: 0 is i itself, 1
-        its nearest.
+        `senders`: where each j is, seen from i.
         """
 
     def end(self, state: Any) -> Float[Tensor, "*batch agent joined"]:
@@ -159,10 +174,13 @@ class Comm(nn.Module, ABC):
         self,
         feature: Float[Tensor, "*batch agent feature"],
         adjacency: Bool[Tensor, "*batch agent other"],
-        distance_rank: Int[Tensor, "*batch agent other"],
+        senders: Senders,
         delivery: Delivery | None = None,
     ) -> Talk:
-        """Let the robots talk: round by round, over `delivery`, without one as if at no loss."""
+        """Let the robots talk: round by round, over `delivery`, without one as if at no loss.
+
+        `senders` may hold the offsets of all pairs: those out of contact have no influence.
+        """
         delivery = delivery or Direct(adjacency)
         price = min(self.bits_per_number, delivery.bits_per_number or self.bits_per_number)
         state, sent = self.begin(feature), [feature[..., :0]]
@@ -177,9 +195,21 @@ class Comm(nn.Module, ABC):
             edges.append(reached)
             bits = bits + price * self.numbers(round_index) * reached
             heard, live = delivery(message, round_index)
-            state = self.listen(state, heard, live, distance_rank, round_index)
+            audible = self._audible(senders, adjacency & live, heard)
+            state = self.listen(state, heard, live, audible, round_index)
         message, reached = torch.cat(sent, dim=-1), torch.cat(edges, dim=-1)
         return Talk(self.end(state), message, reached, bits, self.attention(state))
+
+    def _audible(self, senders: Senders, live: Tensor, heard: Tensor) -> Senders:
+        """Return where those are who are heard now, where the scheme asks for it."""
+        if not self.places:
+            return senders._replace(offset=None)
+        assert senders.offset is not None
+        if self.gated:  # the silent are not heard: their message is all zeros
+            live = live & heard.ne(0).any(-1).unsqueeze(-2)
+        return senders._replace(
+            offset=torch.where(live.unsqueeze(-1), senders.offset, 0).to(heard.dtype)
+        )
 
 
 def outgoing(feature: Tensor, detach: bool) -> Tensor:
@@ -208,14 +238,14 @@ def nearest_live(
     value: Float[Tensor, "*batch agent width"],
     adjacency: Bool[Tensor, "*batch agent agent"],
     distance_rank: Int[Tensor, "*batch agent agent"],
-    places: int,
+    slots: int,
 ) -> Float[Tensor, "*batch agent joined"]:
     """Return for each robot its live neighbours' values side by side, nearest first.
 
-    There is room for `places` of them; a place without a robot holds zeros.
+    There are `slots` of them; one without a robot holds zeros.
     """
     agents, width = value.shape[-2:]
-    taken = min(places, agents)
+    taken = min(slots, agents)
     beyond_all = torch.full_like(distance_rank, agents)
     live_rank = torch.where(adjacency, distance_rank, beyond_all)
     rank, other = live_rank.topk(taken, dim=-1, largest=False)
@@ -223,7 +253,7 @@ def nearest_live(
     gathered = value.gather(-2, index.expand(*index.shape[:-1], width))
     placed = gathered.unflatten(-2, (agents, taken))
     heard = torch.where(rank.unsqueeze(-1) < agents, placed, 0.0).flatten(-2)
-    return functional.pad(heard, (0, (places - taken) * width))
+    return functional.pad(heard, (0, (slots - taken) * width))
 
 
 def masked_softmax(

@@ -3,10 +3,10 @@
 from typing import final
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from marl_clean.comm.base import Comm, Width, attend, dense, outgoing
+from marl_clean.comm.base import Comm, Senders, Width, attend, dense, outgoing
 from marl_clean.settings import LayerWidth, NonNegativeFloat, PositiveInt
 
 State = tuple[list[Tensor], Tensor | None]  # features of all rounds so far, the last attention
@@ -70,7 +70,7 @@ class Dgn(Comm):
         state: State,
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
-        distance_rank: Int[Tensor, "*batch agent other"],
+        senders: Senders,
         round_index: int,
     ) -> State:
         (*before, last), _ = state

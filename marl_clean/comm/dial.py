@@ -46,7 +46,7 @@ class Dial(Joining):
         hidden: width of the own block and of the joined layer.
         received: width of the block each received message goes through.
         combine: `ordered` takes up to `max_neighbours`, nearest first; `sum` any number.
-        max_neighbours: places of `ordered`; further neighbours are not heard.
+        max_neighbours: slots of `ordered`; further neighbours are not heard.
         noise_std: standard deviation of the noise while learning.
     """
 

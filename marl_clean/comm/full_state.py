@@ -15,7 +15,7 @@ class FullState(Joining):
     """Robots in contact share their whole observation: no bottleneck, an upper bound.
 
         r_j = relu(W_r h_j)                       j's observation, through the same encoder
-        ordered: c_i = [r_j of i's nearest live edge, of the next, ..., 0 for an empty place]
+        ordered: c_i = [r_j of i's nearest live edge, of the next, ..., 0 for an empty slot]
         sum:     c_i = sum over live edges of r_j
         h'_i = relu(W [relu(W_o h_i), c_i])
 
@@ -30,7 +30,7 @@ class FullState(Joining):
         hidden: width of the own block and of the joined layer.
         received: width of the block each neighbour's features go through.
         combine: `ordered` takes up to `max_neighbours`, nearest first; `sum` any number.
-        max_neighbours: places of `ordered`; further neighbours are not heard.
+        max_neighbours: slots of `ordered`; further neighbours are not heard.
         detach: a receiver's loss does not reach what the encoder makes of the sender's.
     """
 

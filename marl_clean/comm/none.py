@@ -2,10 +2,10 @@
 
 from typing import final
 
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from marl_clean.comm.base import Comm, Width
+from marl_clean.comm.base import Comm, Senders, Width
 
 
 @final
@@ -26,7 +26,7 @@ class Silent(Comm):
         state: Float[Tensor, "*batch agent feature"],
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
-        distance_rank: Int[Tensor, "*batch agent other"],
+        senders: Senders,
         round_index: int,
     ) -> Float[Tensor, "*batch agent feature"]:
         return state

@@ -13,7 +13,7 @@ class Plan(Joining):
 
         m_j = message(h_j)                        the plan robot j sends
         r_j = relu(W_r m_j)                       a received plan, through its own block
-        ordered: c_i = [r_j of i's nearest live edge, of the next, ..., 0 for an empty place]
+        ordered: c_i = [r_j of i's nearest live edge, of the next, ..., 0 for an empty slot]
         sum:     c_i = sum over live edges of r_j
         h'_i = relu(W [relu(W_o h_i), c_i])
 
@@ -26,7 +26,7 @@ class Plan(Joining):
         hidden: width of the own block and of the joined layer.
         received: width of the block each received message goes through.
         combine: `ordered` takes up to `max_neighbours`, nearest first; `sum` any number.
-        max_neighbours: places of `ordered`; further neighbours are not heard.
+        max_neighbours: slots of `ordered`; further neighbours are not heard.
     """
 
     def __init__(

@@ -3,10 +3,10 @@
 from typing import final
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from marl_clean.comm.base import Comm, Width, attend, outgoing
+from marl_clean.comm.base import Comm, Senders, Width, attend, outgoing
 from marl_clean.settings import LayerWidth, PositiveInt
 
 
@@ -58,7 +58,7 @@ class TarMac(Comm):
         state: Float[Tensor, "*batch agent feature"],
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
-        distance_rank: Int[Tensor, "*batch agent other"],
+        senders: Senders,
         round_index: int,
     ) -> Float[Tensor, "*batch agent feature"]:
         own = self.message(state) if self.self_included else None

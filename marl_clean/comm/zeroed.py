@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from marl_clean.comm._joining import Joining, message_layers
-from marl_clean.comm.base import Width
+from marl_clean.comm.base import Senders, Width
 from marl_clean.settings import LayerWidth, PositiveInt
 
 
@@ -52,4 +52,4 @@ class Zeroed(Joining):
         rank = torch.zeros(
             *state.shape[:-1], state.shape[-2], dtype=torch.int64, device=state.device
         )
-        return self.listen(state, self.speak(state, 0), rank > 0, rank, 0)
+        return self.listen(state, self.speak(state, 0), rank > 0, Senders(rank), 0)

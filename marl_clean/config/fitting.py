@@ -50,6 +50,9 @@ def check_fit(config: DictConfig) -> None:
         raise BadInput(
             f"agent.mask_walls=true: a mask where there are no walls, {env}; valid: false"
         )
+    if config.comm.get("places", False) and not takes(targets["env"], "houses"):
+        env = f"env={level_of(targets['env'])} has no positions"
+        raise BadInput(f"comm.places=true: {env}; valid: false")
     if config.agent.get("critic") == "state" and not takes(targets["env"], "houses"):
         env = f"env={level_of(targets['env'])} shows no true state"
         raise BadInput(f"agent.critic=state: {env}; valid: local, robots, null")

@@ -261,7 +261,7 @@ class DeepQ(Agent):
         if self.mask_walls:
             acting.allow_taken_(frames)
         if self.next_graph == "reused":
-            for key in (keys.ADJACENCY, keys.DISTANCE_RANK):
+            for key in (key for key in keys.GRAPH if key in self.sees):
                 frames["next", key] = frames[key]
         return frames
 

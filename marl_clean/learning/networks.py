@@ -14,7 +14,7 @@ from marl_clean import keys
 from marl_clean.channel.base import Channel
 from marl_clean.channel.delayed import Later
 from marl_clean.channel.perfect import Perfect
-from marl_clean.comm.base import Comm, Delivery, NoisyWhileLearning, Talk
+from marl_clean.comm.base import Comm, Delivery, NoisyWhileLearning, Senders, Talk
 from marl_clean.encoder.base import Encoder
 from marl_clean.learning.delivery import Repeated, Stacked, state_keys
 from marl_clean.settings import Precision
@@ -133,7 +133,7 @@ class RobotsNetwork(nn.Module):
         self.carries = (*memory, *state_keys(self.stack, [*self.channel, *behind]))
         drawn = (keys.CHANNEL_SEED,) if self.draws else ()
         mask = (keys.ACTION_MASK,) if self.mask_walls else ()
-        graph = (keys.ADJACENCY, keys.DISTANCE_RANK)
+        graph = keys.GRAPH if self.comm.places else keys.GRAPH[:2]
         self.sees = (keys.OBSERVATION, *graph, *mask, *drawn, *self.carries)
         self.history = max(len(memory), sum(channel.steps_late for channel in self.stack))
 
@@ -189,7 +189,8 @@ class RobotsNetwork(nn.Module):
         delivery: Delivery = stacked
         if sent is not None:
             delivery = Repeated(stacked, sent, self.comm.message_dims[: self.comm.rounds])
-        talk = self.comm(feature, adjacency, distance_rank, delivery)
+        senders = Senders(distance_rank, seen[keys.OFFSET] if self.comm.places else None)
+        talk = self.comm(feature, adjacency, senders, delivery)
         out = self.out(talk.feature)
         if self.mask_walls:
             out = masked(out, seen[keys.ACTION_MASK])

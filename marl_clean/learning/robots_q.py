@@ -85,7 +85,7 @@ class RobotsQ(DeepQ):
         """Return what the scheme's own loss comes to, such as the pull of dgn's attention."""
         if not self.network.comm.pull:
             return 0.0
-        graph = {key: frames[key] for key in (keys.ADJACENCY, keys.DISTANCE_RANK)}
+        graph = {key: frames[key] for key in keys.GRAPH if key in self.sees}
         now, then = frames, frames["next"].clone(recurse=False).update(graph)
         attention = self.network(entries(self.network, now)).talk.attention
         with torch.no_grad():

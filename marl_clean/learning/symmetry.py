@@ -6,7 +6,7 @@ counterclockwise.
 """
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -35,6 +35,19 @@ def rotate_action(action: Int[Tensor, "*batch"], element: int) -> Int[Tensor, "*
     if element >= 4:
         action = action.new_tensor(MIRRORED)[action]
     return (action - element % 4) % 4
+
+
+def rotate_offset(offset: Num[Tensor, "*batch 2"], element: int) -> Num[Tensor, "*batch 2"]:
+    """Return (row, col) offsets as they are in the rotated squares.
+
+    Mirrored, (row, col) becomes (row, -col); a quarter counterclockwise makes of it (-col, row).
+    """
+    row, col = offset.unbind(-1)
+    if element >= 4:
+        col = -col
+    for _ in range(element % 4):
+        row, col = -col, row
+    return torch.stack([row, col], dim=-1)
 
 
 def rotate_in_eighths(
@@ -77,6 +90,11 @@ def rotate_frames_(frames: TensorDictBase) -> None:
         masks = [frames[keys.ACTION_MASK], frames["next", keys.ACTION_MASK]]
         now, then = rotate_masks_in_eighths(masks)
         frames[keys.ACTION_MASK], frames["next", keys.ACTION_MASK] = now, then
+    if keys.OFFSET in held:
+        for part in (frames, frames["next"]):
+            offset = part[keys.OFFSET]
+            eighths = enumerate(_eighths(len(offset)))
+            part[keys.OFFSET] = torch.cat([rotate_offset(offset[k], g) for g, k in eighths])
     if keys.DEMONSTRATION in held:
         planned = frames[keys.DEMONSTRATION]
         _, rotated = rotate_in_eighths([], planned.clamp(min=0))

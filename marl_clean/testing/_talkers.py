@@ -3,10 +3,10 @@
 from typing import NamedTuple, final
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from marl_clean.comm.base import Comm, sum_live
+from marl_clean.comm.base import Comm, Senders, sum_live
 from marl_clean.testing._graphs import FEATURES, draw
 
 
@@ -47,7 +47,7 @@ class Talkers(Comm):
         state: Float[Tensor, "*batch agent feature"],
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
-        distance_rank: Int[Tensor, "*batch agent other"],
+        senders: Senders,
         round_index: int,
     ) -> Float[Tensor, "*batch agent feature"]:
         others = self.others[round_index](sum_live(heard, live))
@@ -69,4 +69,5 @@ def drawn_frames(
     """Return features and a graph that change from step to step."""
     generator = torch.Generator().manual_seed(seed)
     drawn = torch.randint(2**32, (steps, *batch, n_agents), generator=generator)
-    return Frames(*draw(steps, *batch, n_agents=n_agents, share=share, seed=seed), drawn)
+    feature, live, senders = draw(steps, *batch, n_agents=n_agents, share=share, seed=seed)
+    return Frames(feature, live, senders.distance_rank, drawn)

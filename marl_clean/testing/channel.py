@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from marl_clean.channel.base import Channel
-from marl_clean.comm.base import BITS_PER_FLOAT, Comm, Talk
+from marl_clean.comm.base import BITS_PER_FLOAT, Comm, Senders, Talk
 from marl_clean.learning.delivery import Stacked
 from marl_clean.testing._broken import Clause, require, require_close, require_equal, verify
 from marl_clean.testing._graphs import FEATURES, line, require_unheard, within
@@ -69,7 +69,7 @@ def talked(channels: Sequence[Channel], comm: Comm, frames: Frames) -> list[Talk
         drawn = seed if draws else None
         delivery = Stacked(channels, live, rank, comm.rounds, drawn, states, comm.gated)
         require(not (delivery.sent & ~live).any(), "address sends over an edge that is not live")
-        talks.append(comm(feature, live, rank, delivery))
+        talks.append(comm(feature, live, Senders(rank), delivery))
         after = iter(delivery.states_after().values())
         states = [None if state is None else next(after) for state in states]
         for state, spec in zip(states, specs, strict=True):
@@ -179,7 +179,7 @@ def no_further_than_the_rounds_and_no_later_than_declared(stack: Stack) -> None:
     comm = Talkers((4, 3))
     channels = made(stack, comm)
     late = sum(channel.steps_late for channel in channels)
-    live, rank, hops = line(6)
+    live, (rank, _), hops = line(6)
     frames = drawn_frames(2 * late + 3, 8, n_agents=6)
     frames = frames._replace(live=live.expand_as(frames.live), rank=rank.expand_as(frames.rank))
     before = features(talked(channels, comm, frames))

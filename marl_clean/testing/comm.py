@@ -1,5 +1,6 @@
 """What every communication scheme must hold."""
 
+from operator import itemgetter
 from typing import Any
 
 import torch
@@ -13,7 +14,15 @@ from marl_clean.testing._broken import (
     require_equal,
     verify,
 )
-from marl_clean.testing._graphs import FEATURES, draw, line, require_unheard, within
+from marl_clean.testing._graphs import (
+    FEATURES,
+    draw,
+    each,
+    line,
+    of_robots,
+    require_unheard,
+    within,
+)
 from marl_clean.testing._levels import Level, Maker, maker
 
 OBSERVED = 50  # numbers in an observation, for schemes that send those
@@ -64,27 +73,29 @@ def relabelling_the_robots_relabels_the_result(make: Maker) -> None:
     """Nothing depends on how robots are numbered."""
     comm = make_scheme(make)
     for n_agents, numbers in ((2, [1, 0]), (3, [2, 0, 1]), (6, [3, 0, 5, 1, 4, 2])):
-        feature, live, rank = draw(4, n_agents=n_agents)
+        feature, live, senders = draw(4, n_agents=n_agents)
         order = torch.tensor(numbers)
-        renamed = comm(feature[:, order], live[:, order][..., order], rank[:, order][..., order])
-        _require_same(comm(feature, live, rank), renamed, order, f"robots renumbered as {numbers}")
+        renamed = comm(feature[:, order], live[:, order][..., order], of_robots(senders, order))
+        _require_same(
+            comm(feature, live, senders), renamed, order, f"robots renumbered as {numbers}"
+        )
 
 
 def a_dead_edge_has_no_influence_not_even_nan_and_no_gradient(make: Maker) -> None:
     """Nothing crosses a dead edge: no number, not even NaN, and no gradient."""
     comm = make_scheme(make)
-    feature, live, rank = draw(6, n_agents=5, share=0.3)
-    reach, before = within(live, comm.rounds), comm(feature, live, rank).feature
+    feature, live, senders = draw(6, n_agents=5, share=0.3)
+    reach, before = within(live, comm.rounds), comm(feature, live, senders).feature
     for sender in range(5):
         deaf = ~reach[:, :, sender]
         inputs = feature.clone().requires_grad_()
-        (back,) = torch.autograd.grad(comm(inputs, live, rank).feature[deaf].sum(), inputs)
+        (back,) = torch.autograd.grad(comm(inputs, live, senders).feature[deaf].sum(), inputs)
         grad = back[:, sender].abs().max().item()
         require(grad == 0, f"a gradient of {grad} crosses dead edges to robot {sender}")
         poisoned = feature.clone()
         poisoned[:, sender] = torch.nan
         poisoned.requires_grad_()
-        after = comm(poisoned, live, rank).feature
+        after = comm(poisoned, live, senders).feature
         require_unheard(after, before, reach, sender, "NaN")
         (back,) = torch.autograd.grad(after[deaf].sum(), poisoned)
         # A robot that hears the poisoned sender passes 0 x NaN back to its senders, and no further.
@@ -93,14 +104,27 @@ def a_dead_edge_has_no_influence_not_even_nan_and_no_gradient(make: Maker) -> No
         require(finite, f"NaN of robot {sender} crosses a dead edge in the gradient")
 
 
+def an_offset_over_a_dead_edge_has_no_influence(make: Maker) -> None:
+    """Where a robot is, only robots in contact with it may know, and only if the scheme asks."""
+    comm = make_scheme(make)
+    feature, live, senders = draw(6, n_agents=5, share=0.3)
+    assert senders.offset is not None
+    known = live.unsqueeze(-1) & torch.tensor(comm.places)
+    elsewhere = torch.where(known, senders.offset, torch.nan)
+    before = comm(feature, live, senders)
+    after = comm(feature, live, senders._replace(offset=elsewhere))
+    for name, entry, moved in zip(TALK, before[:4], after[:4], strict=True):
+        require_equal(moved, entry, f"{name} depends on where robots out of contact are")
+
+
 def gradient_crosses_exactly_the_edges_within_the_rounds(make: Maker) -> None:
     """A robot's loss reaches itself and, unless messages are detached, its senders; no others."""
     comm = make_scheme(make)
-    feature, live, rank = draw(4, n_agents=4, share=0.4)
+    feature, live, senders = draw(4, n_agents=4, share=0.4)
     feature.requires_grad_()
     with torch.random.fork_rng([]):
         torch.manual_seed(0)
-        talk = comm.train()(feature, live, rank)  # in eval mode bits and gates have no gradient
+        talk = comm.train()(feature, live, senders)  # in eval mode bits and gates have no gradient
     reach, itself = within(live, comm.rounds), torch.eye(4, dtype=torch.bool)
     crosses = talk.message.shape[-1] > 0 and not comm.detach
     for world in range(4):
@@ -125,15 +149,15 @@ def rounds_reach_as_many_hops_and_no_further(make: Maker) -> None:
     """Information crosses as many edges within a step as there are rounds."""
     comm = make_scheme(make)
     length = comm.rounds + 3
-    live, rank, hops = line(length)
-    live, rank = (x.expand(16, length, length) for x in (live, rank))
+    live, senders, hops = line(length)
+    live, senders = live.expand(16, -1, -1), each(senders, lambda x: x.expand(16, *x.shape))
     feature = draw(16, n_agents=length)[0]
-    before = comm(feature, live, rank).feature
+    before = comm(feature, live, senders).feature
     farthest = 0
     for sender in range(length):
         moved = feature.clone()
         moved[:, sender] += 1
-        changed = (comm(moved, live, rank).feature != before).any(-1).any(0)
+        changed = (comm(moved, live, senders).feature != before).any(-1).any(0)
         farthest = max(farthest, int(hops[sender].masked_fill(~changed, 0).max()))
     reached = f"what a robot knows crosses {farthest} edges in {comm.rounds} rounds"
     require(farthest == comm.rounds, reached)
@@ -142,19 +166,20 @@ def rounds_reach_as_many_hops_and_no_further(make: Maker) -> None:
 def without_live_edge_the_others_may_be_anyone_or_missing(make: Maker) -> None:
     """A robot that no other reaches knows what it would know alone in the world."""
     comm = make_scheme(make)
-    feature, live, rank = draw(3, n_agents=4, share=0.0)
-    alone = comm(feature[:, :1], live[:, :1, :1], rank[:, :1, :1]).feature
-    among = comm(feature, live, rank).feature[:, :1]
+    feature, live, senders = draw(3, n_agents=4, share=0.0)
+    itself = of_robots(senders, torch.tensor([0]))
+    alone = comm(feature[:, :1], live[:, :1, :1], itself).feature
+    among = comm(feature, live, senders).feature[:, :1]
     require_close(among, alone, "with no live edge, robot 0 of 4 has other features than alone")
 
 
 def a_batch_equals_each_world_alone(make: Maker) -> None:
     """A world's talk is what it is alone."""
     comm = make_scheme(make)
-    inputs = draw(5, n_agents=3)
-    together = comm(*inputs)
+    feature, live, senders = draw(5, n_agents=3)
+    together = comm(feature, live, senders)
     for world in range(5):
-        alone = comm(*(x[world] for x in inputs))
+        alone = comm(feature[world], live[world], each(senders, itemgetter(world)))
         for name, batched, single in zip(TALK, together[:4], alone[:4], strict=True):
             require_close(batched[world], single, f"{name} of world {world} of 5 differs alone")
 
@@ -185,25 +210,24 @@ def bits_are_those_of_the_numbers_sent(make: Maker) -> None:
 def what_a_robot_sends_depends_on_nobody_out_of_reach(make: Maker) -> None:
     """A message depends on no robot that earlier rounds do not connect with its sender."""
     comm = make_scheme(make)
-    feature, live, rank = draw(6, n_agents=5, share=0.3)
+    feature, live, senders = draw(6, n_agents=5, share=0.3)
     reach = within(live, max(0, comm.rounds - 1))
-    before = comm(feature, live, rank).message
+    before = comm(feature, live, senders).message
     for robot in range(5):
         moved = feature.clone()
         moved[:, robot] += 1
-        after = comm(moved, live, rank).message
+        after = comm(moved, live, senders).message
         require_unheard(after, before, reach, robot, "in a message, a feature")
 
 
 def robots_out_of_reach_change_nothing_unless_it_dilutes(make: Maker) -> None:
     """Adding robots that no other reaches changes nothing, unless the scheme says it dilutes."""
     comm = make_scheme(make)
-    feature, live, rank = draw(3, n_agents=5, share=0.7)
+    feature, live, senders = draw(3, n_agents=5, share=0.7)
     live[:, 2], live[:, :, 2] = False, False
     kept = torch.tensor([0, 1, 3, 4])
-    fewer = rank[:, kept][..., kept].argsort(-1).argsort(-1)
-    without = comm(feature[:, kept], live[:, kept][..., kept], fewer)
-    among = comm(feature, live, rank)
+    without = comm(feature[:, kept], live[:, kept][..., kept], of_robots(senders, kept))
+    among = comm(feature, live, senders)
     if comm.dilutes:
         same = torch.equal(among.feature[:, kept], without.feature)
         require(not same, "dilutes is True, but another robot out of reach changes nothing")
@@ -214,8 +238,8 @@ def robots_out_of_reach_change_nothing_unless_it_dilutes(make: Maker) -> None:
 def attention_is_paid_over_live_edges(make: Maker) -> None:
     """Where a scheme attends, the weights are shares, and none falls on a dead edge."""
     comm = make_scheme(make)
-    feature, live, rank = draw(4, n_agents=5)
-    attention = comm(feature, live, rank).attention
+    feature, live, senders = draw(4, n_agents=5)
+    attention = comm(feature, live, senders).attention
     if attention is None:
         require(comm.pull == 0, f"pull is {comm.pull}, but there is no attention to pull")
         return
@@ -256,6 +280,7 @@ CLAUSES: tuple[Clause, ...] = (
     shapes,
     relabelling_the_robots_relabels_the_result,
     a_dead_edge_has_no_influence_not_even_nan_and_no_gradient,
+    an_offset_over_a_dead_edge_has_no_influence,
     gradient_crosses_exactly_the_edges_within_the_rounds,
     rounds_reach_as_many_hops_and_no_further,
     without_live_edge_the_others_may_be_anyone_or_missing,

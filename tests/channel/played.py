@@ -73,7 +73,8 @@ def frames(steps: int, *batch: int, n_agents: int, share: float = 0.5, seed: int
     """A graph and features that change from step to step."""
     generator = torch.Generator().manual_seed(seed)
     drawn = torch.randint(2**32, (steps, *batch, n_agents), generator=generator)
-    return Frames(*draw(steps, *batch, n_agents=n_agents, share=share, seed=seed), drawn)
+    feature, live, senders = draw(steps, *batch, n_agents=n_agents, share=share, seed=seed)
+    return Frames(feature, live, senders.distance_rank, drawn)
 
 
 def play(net: RobotsNetwork, inputs: Frames) -> list[Talk]:

@@ -124,7 +124,7 @@ def test_quantised_numbers_are_levels_and_gradients_pass_straight():
 
 def test_a_budget_writes_to_the_nearest():
     for rounds, messages in ((1, 2), (2, 2), (2, 5), (1, 0), (1, 99)):
-        _, live, rank = draw(30, n_agents=6, share=0.6)
+        _, live, (rank, _) = draw(30, n_agents=6, share=0.6)
         sent = Budget(messages).address(live, rank, rounds)
         for world in range(30):
             for sender in range(6):

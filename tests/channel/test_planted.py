@@ -218,7 +218,7 @@ def test_the_same_checks_pass_without_the_defect(right, check):
 
 def lost_is_paid(make: Make) -> None:
     [lossy] = make(DIMS)
-    _, live, rank = draw(50, n_agents=4)
+    _, live, (rank, _) = draw(50, n_agents=4)
     require_equal(lossy.address(live, rank, 1), live, "lost messages are not paid for")
     _, edges = lossy.carry(torch.zeros(50, 4, 2), live, 0, moment(50, 4))
     require(edges.sum() < live.sum(), "nothing is lost")
@@ -252,7 +252,7 @@ def few_levels(make: Make) -> None:
 
 def one_each(make: Make) -> None:
     [budget] = make(DIMS)
-    _, live, rank = draw(50, n_agents=5, share=0.8)
+    _, live, (rank, _) = draw(50, n_agents=5, share=0.8)
     require(budget.address(live, rank, 1).sum(-2) <= 1, "a robot sends more than its budget")
 
 

@@ -10,19 +10,19 @@ ALL = ~torch.eye(4, dtype=torch.bool)
 
 
 def test_the_nearest_come_first_and_the_farthest_is_not_heard():
-    assert nearest_live(VALUE, ALL, RANK, places=2).tolist() == [[3, 4], [3, 1], [1, 2], [1, 3]]
+    assert nearest_live(VALUE, ALL, RANK, slots=2).tolist() == [[3, 4], [3, 1], [1, 2], [1, 3]]
 
 
-def test_a_dead_edge_gives_its_place_to_the_next():
+def test_a_dead_edge_gives_its_slot_to_the_next():
     live = ALL.clone()
     live[0, 2] = live[2, 0] = False
-    assert nearest_live(VALUE, live, RANK, places=2)[0].tolist() == [4, 2]
+    assert nearest_live(VALUE, live, RANK, slots=2)[0].tolist() == [4, 2]
 
 
-def test_empty_places_hold_zeros():
+def test_empty_slots_hold_zeros():
     live = torch.zeros(4, 4, dtype=torch.bool)
     live[0, 1] = live[1, 0] = True
-    heard = nearest_live(VALUE, live, RANK, places=5)
+    heard = nearest_live(VALUE, live, RANK, slots=5)
     assert heard.tolist() == [[2, 0, 0, 0, 0], [1, 0, 0, 0, 0], [0] * 5, [0] * 5]
 
 

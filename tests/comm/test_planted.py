@@ -54,8 +54,21 @@ class Unscaled(TarMac):
 class EveryoneHeard(TarMac):
     """Attends to dead edges."""
 
-    def listen(self, state, heard, live, distance_rank, round_index):
-        return super().listen(state, heard, distance_rank > 0, distance_rank, round_index)
+    def listen(self, state, heard, live, senders, round_index):
+        return super().listen(state, heard, senders.distance_rank > 0, senders, round_index)
+
+
+class Seer(TarMac):
+    """Knows where everybody is, in contact or not."""
+
+    places = True
+
+    def _audible(self, senders, live, heard):
+        return senders
+
+    def listen(self, state, heard, live, senders, round_index):
+        state = super().listen(state, heard, live, senders, round_index)
+        return state + senders.offset.sum((-1, -2)).unsqueeze(-1)
 
 
 class OneRoundPaid(Dgn):
@@ -68,9 +81,10 @@ class OneRoundPaid(Dgn):
 class ByNumber(Plan):
     """Orders the neighbours by their numbers instead of their distance."""
 
-    def listen(self, state, heard, live, distance_rank, round_index):
-        number = torch.arange(state.shape[-2]).expand(distance_rank.shape)
-        return super().listen(state, heard, live, number.contiguous(), round_index)
+    def listen(self, state, heard, live, senders, round_index):
+        number = torch.arange(state.shape[-2]).expand(senders.distance_rank.shape)
+        by_number = senders._replace(distance_rank=number.contiguous())
+        return super().listen(state, heard, live, by_number, round_index)
 
 
 class FarOff(CommNet):
@@ -164,6 +178,11 @@ SETTINGS = {
             EveryoneHeard,
             comm.a_dead_edge_has_no_influence_not_even_nan_and_no_gradient,
             "a gradient of .* crosses dead edges to robot 0",
+        ),
+        (
+            Seer,
+            comm.an_offset_over_a_dead_edge_has_no_influence,
+            "feature depends on where robots out of contact are: at",
         ),
         (
             EveryoneHeard,

@@ -7,6 +7,7 @@ from marl_clean.learning.symmetry import (
     NUM_SYMMETRIES,
     rotate_action,
     rotate_in_eighths,
+    rotate_offset,
     rotate_square,
 )
 
@@ -21,6 +22,15 @@ def test_the_cell_an_action_leads_to_rotates_with_the_square(element, action):
     row, col = MOVES[action]
     square[2 + row, 2 + col] = 1
     row, col = MOVES[rotate_action(torch.tensor(action), element)]
+    assert rotate_square(square, element)[2 + row, 2 + col] == 1
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+@pytest.mark.parametrize("offset", [(-2, 1), (0, 2), (1, 1), (2, -1)])
+def test_an_offset_rotates_with_the_square(element, offset):
+    square = torch.zeros(5, 5)
+    square[2 + offset[0], 2 + offset[1]] = 1
+    row, col = rotate_offset(torch.tensor(offset), element).tolist()
     assert rotate_square(square, element)[2 + row, 2 + col] == 1
 
 

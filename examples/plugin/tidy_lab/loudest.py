@@ -1,10 +1,10 @@
 """Robots hear, number by number, the largest of what their neighbours say."""
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from marl_clean.comm.base import Comm, Width
+from marl_clean.comm.base import Comm, Senders, Width
 from marl_clean.settings import PositiveInt
 
 
@@ -38,7 +38,7 @@ class Loudest(Comm):
         state: Float[Tensor, "*batch agent feature"],
         heard: Float[Tensor, "*batch agent message"],
         live: Bool[Tensor, "*batch agent other"],
-        distance_rank: Int[Tensor, "*batch agent other"],
+        senders: Senders,
         round_index: int,
     ) -> Float[Tensor, "*batch agent joined"]:
         lowest = torch.finfo(heard.dtype).min
