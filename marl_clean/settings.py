@@ -134,6 +134,7 @@ BitsPerNumber = Annotated[int, Field(ge=1, le=16)]
 OddInt = Annotated[int, Field(ge=1), AfterValidator(_odd)]
 OddFromThree = Annotated[int, Field(ge=3), AfterValidator(_odd)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 UncleanedAtMost = Annotated[float, Field(ge=0, lt=0.5)]  # a cleaned cell is shown as 0.5 at most

@@ -18,6 +18,7 @@ from torchrl.envs import TransformedEnv
 
 from marl_clean import build, keys
 from marl_clean.config.config_hash import config_hash
+from marl_clean.config.levels import level_of
 from marl_clean.evaluation.records import Entry, make_entry
 from marl_clean.evaluation.rollouts import first_frame, rollout_episodes
 from marl_clean.world.random import Purpose, random_below, random_bits
@@ -40,9 +41,8 @@ def measure_return(cfg: DictConfig, policy: nn.Module | None, name: str, seed: i
         records += run_episodes(env, policy, share, seed)
         env.close()
     explored = 0.0 if policy is None else epsilon  # as for planners, which do not explore
-    entry = make_entry(
-        name, cfg.env.task, config_hash(cfg), explored, env.base_env.n_agents, records
-    )
+    task = cfg.env.get("task", level_of(cfg.env._target_))
+    entry = make_entry(name, task, config_hash(cfg), explored, env.base_env.n_agents, records)
     return {**entry, "world": None}  # its rules are not ours
 
 

@@ -15,6 +15,7 @@ from torchrl.data import TensorSpec, Unbounded
 from marl_clean import keys
 from marl_clean.channel.base import Channel, Dims, Salt, Step
 from marl_clean.channel.delayed import Later, parts_of
+from marl_clean.channel.self_send import SelfSend
 from marl_clean.config.schema import choices
 from marl_clean.errors import BadInput
 from marl_clean.learning.acting import Greedy
@@ -101,6 +102,18 @@ class Noise(Channel):
         return step.unless_silent(message, message + std * noise.to(message.dtype)), edges
 
 
+class Mean(Channel):
+    """Hear the mean message of the robots of all running episodes, over the same edges.
+
+    Unlike zeros it lies where messages lie; who is in contact is all that is left of it.
+    """
+
+    def carry(
+        self, message: Message, edges: Edges, round_index: int, step: Step
+    ) -> tuple[Message, Edges]:
+        return message.flatten(0, -2).mean(0).expand_as(message), edges
+
+
 class Late(Later):
     """Hear every message one step later."""
 
@@ -129,6 +142,8 @@ class Shut(Channel):
 INTERVENTIONS: dict[str, Callable[[Dims], Channel]] = {
     "zero": lambda dims: Zero(),
     "shuffle": lambda dims: Shuffle(),
+    "constant": lambda dims: Mean(),
+    "self_send": lambda dims: SelfSend(),
     "freeze": Freeze,
     "noise": lambda dims: Noise(),
     "delay": lambda dims: Late(1, dims),

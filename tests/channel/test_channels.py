@@ -5,10 +5,12 @@ import torch
 
 from marl_clean.channel.base import Salt, Step
 from marl_clean.channel.budget import Budget
+from marl_clean.channel.constant import Constant
 from marl_clean.channel.delayed import Delayed
 from marl_clean.channel.lossy import Lossy
 from marl_clean.channel.noisy import Noisy
 from marl_clean.channel.quantised import Quantised
+from marl_clean.channel.self_send import SelfSend
 from marl_clean.testing._broken import Clause
 from marl_clean.testing.channel import CLAUSES
 from tests.channel.contract import LEVELS, Make, channel, seeds
@@ -45,6 +47,17 @@ def moment(worlds: int, n_agents: int, state=None, seed: int = 0) -> Step:
 
 MESSAGE = torch.zeros(4_000, 3, 2)
 EVERYBODY = (~torch.eye(3, dtype=torch.bool)).expand(4_000, 3, 3)
+
+
+def test_controls_transfer_nothing_and_leave_the_contact() -> None:
+    features, live, _ = draw(500, n_agents=4)
+    own, edges = SelfSend().carry(features, live, 0, moment(500, 4))
+    itself = torch.eye(4, dtype=torch.bool)
+    assert torch.equal(own, features)
+    assert torch.equal(edges, itself & live.any(-1)[..., None])
+    assert 0 < edges.sum() < 4 * 500  # some hear themselves, some would hear nobody
+    same, edges = Constant(0.5).carry(features, live, 0, moment(500, 4))
+    assert (same == 0.5).all() and torch.equal(edges, live)
 
 
 def test_so_much_is_lost_and_each_direction_for_itself():

@@ -16,6 +16,7 @@ from marl_clean.evaluation.evaluator import evaluate, in_any_env
 from marl_clean.evaluation.interventions import (
     INTERVENTIONS,
     Freeze,
+    Mean,
     Noise,
     Open,
     Shuffle,
@@ -90,6 +91,13 @@ def test_frozen_messages_are_those_of_the_first_step_in_all_rounds():
             heard, _ = freeze.carry(message, EDGES, round_index, moment)
             assert torch.equal(heard, messages[0][round_index])
         state = freeze.state_after(moment, rounds, [EDGES, EDGES])
+
+
+def test_a_constant_message_is_the_mean_of_all_and_tells_no_robot_from_another():
+    heard, edges = Mean().carry(MESSAGE, EDGES, 0, step())
+    assert torch.equal(edges, EDGES) and heard.shape == MESSAGE.shape
+    assert heard.flatten(0, -2).unique(dim=0).shape[0] == 1
+    assert torch.allclose(heard[0, 0], MESSAGE.flatten(0, -2).mean(0))
 
 
 def test_noise_is_as_large_as_messages_vary():
