@@ -12,7 +12,8 @@ from torch import Tensor
 
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
-from marl_clean.world.distance import UNREACHABLE, neighbours, walking_distance
+from marl_clean.world.distance import UNREACHABLE, walking_distance
+from marl_clean.world.dynamics import moves_on
 from marl_clean.world.random import Purpose, random_below
 from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import (
@@ -183,9 +184,14 @@ def around(
     matrix: Tensor, cell: Int[Tensor, "env agent"], outside: bool | int
 ) -> Int[Tensor, "env agent 4"] | Bool[Tensor, "env agent 4"]:
     """Read each robot's up, right, down and left neighbour from its map [env, map, ...]."""
-    four = neighbours(matrix, outside).flatten(-2).permute(1, 2, 3, 0)
-    four = four.expand(-1, cell.shape[1], -1, -1)
-    return four.gather(2, cell[..., None, None].expand(-1, -1, 1, 4))[:, :, 0]
+    height, width = matrix.shape[-2:]
+    row, col = (cell // width)[..., None], (cell % width)[..., None]
+    move = moves_on(cell.device)
+    row, col = row + move[:, 0], col + move[:, 1]
+    inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
+    index = row.clamp(0, height - 1) * width + col.clamp(0, width - 1)
+    four = matrix.flatten(2).expand(-1, cell.shape[1], -1).gather(2, index)
+    return torch.where(inside, four, outside)
 
 
 def reachable(distances: Int[Tensor, "env agent 4"]) -> Bool[Tensor, "env agent 1"]:

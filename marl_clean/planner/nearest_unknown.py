@@ -21,6 +21,7 @@ from marl_clean.planner.base import (
 from marl_clean.settings import Assignment, Ties
 from marl_clean.world.distance import UNREACHABLE, neighbours, walking_distance
 from marl_clean.world.surroundings import walls_beside
+from marl_clean.world.target_searches import NONE, first_actions
 
 
 @final
@@ -30,8 +31,9 @@ class NearestUnknown(Planner):
     Breadth first over cells not known to be blocked and not occupied now, ties in the order up,
     right, down, left; none reachable: the nearest dirty cell; none: a random action.
 
-    Breadth-first search finds the first of all shortest paths in the order of the actions, so one
-    flood from all targets serves every robot: it takes the first action that leads closer.
+    Breadth-first search finds the first of all shortest paths in the order of the actions. On a CPU
+    each robot searches; elsewhere one flood from all targets serves every robot, which takes the
+    first action that leads closer.
 
     Args:
         assignment: none: each robot for itself. greedy: of all pairs of a robot and a target
@@ -71,10 +73,27 @@ class NearestUnknown(Planner):
     def act(self) -> Int[Tensor, "env agent"]:
         self.track.follow(self.env.state)
         rank = self.rank()
-        distances = self.distances(rank)
-        return torch.where(
-            reachable(distances)[..., 0], first_closest(distances, rank), self.random_action()
-        )
+        if rank.device.type == "cpu" and self.assignment is not Assignment.HUNGARIAN:
+            action = self.searched(rank)
+        else:
+            distances = self.distances(rank)
+            action = torch.where(reachable(distances)[..., 0], first_closest(distances, rank), NONE)
+        without = action == NONE
+        return torch.where(without, self.random_action(), action) if without.any() else action
+
+    def searched(self, rank: Int[Tensor, "env agent 4"]) -> Int[Tensor, "env agent"]:
+        """Return what `distances` would have each robot do, NONE without a target; on a CPU."""
+        known = read_maps(self.env.state, self.env.rules)
+        action = torch.full_like(known.cell, NONE)
+        for passable, targets in self.tiers(known):
+            waiting = action == NONE
+            if not waiting.any():
+                break
+            grids = (each.contiguous().numpy() for each in (passable, targets & passable))
+            robots = (each.contiguous().numpy() for each in (known.cell, rank, waiting))
+            greedy = self.assignment is Assignment.GREEDY
+            action = torch.maximum(action, torch.from_numpy(first_actions(*grids, *robots, greedy)))
+        return action
 
     def rank(self) -> Int[Tensor, "env agent 4"]:
         """Return the rank of up, right, down and left in each robot's order."""

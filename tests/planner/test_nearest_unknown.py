@@ -7,12 +7,14 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from torchrl.envs.utils import step_mdp
 
-from marl_clean import keys
+from marl_clean import build, keys
+from marl_clean.config.compose import compose_config
 from marl_clean.planner import nearest_unknown as planner_module
-from marl_clean.planner.base import Planner
+from marl_clean.planner.base import Planner, first_closest, reachable
 from marl_clean.planner.nearest_unknown import NearestUnknown
 from marl_clean.planner.random import Random
 from marl_clean.settings import Assignment, Ties
+from marl_clean.world.target_searches import NONE
 from tests import reference
 from tests.world.play import env_of, start
 from tests.world.strategies import Case, cases
@@ -157,3 +159,34 @@ def _corridor() -> Case:
         memorised=None,
         actions=[],
     )
+
+
+@pytest.mark.parametrize(
+    ("assignment", "ties", "memory"),
+    [
+        (Assignment.NONE, Ties.ROTATED, "private"),
+        (Assignment.GREEDY, Ties.FIXED, "private"),
+        (Assignment.GREEDY, Ties.STRAIGHT, "shared"),
+    ],
+)
+def test_searches_and_floods_take_the_same_actions(
+    assignment: Assignment, ties: Ties, memory: str
+) -> None:
+    """On a CPU robots search outwards, elsewhere they follow a flood from all targets."""
+    settings = ["env.n_agents=4", "house.rows=[9,14]", "house.cols=[6,11]", f"env.memory={memory}"]
+    env = build.make_env(
+        compose_config([*settings, "env.decay_steps=20", "train_houses=8"]), num_envs=8
+    )
+    planner = NearestUnknown(assignment, ties).bind(env.base_env)
+    tensordict = env.reset()
+    without = 0
+    for _ in range(40):
+        tensordict = planner(tensordict)
+        rank = planner.rank()
+        searched, distances = planner.searched(rank), planner.distances(rank)
+        idle = ~reachable(distances)[..., 0]
+        assert torch.equal(searched == NONE, idle)
+        assert torch.equal(searched[~idle], first_closest(distances, rank)[~idle])
+        without += int(idle.sum())
+        _, tensordict = env.step_and_maybe_reset(tensordict)
+    assert without < 40 * 8 * 4 / 10
