@@ -6,16 +6,24 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from marl_clean.comm.base import Comm, Senders, Width, dense, nearest_live, sum_live
+from marl_clean.comm._receiving import (
+    nearest_live,
+    nearest_live_pairs,
+    sum_live,
+    sum_live_pairs,
+)
+from marl_clean.comm.base import Comm, Hearing, Senders, Width, dense, with_places
 
 
 class Joining(Comm):
     """Send one message a step, and join each robot's features with those it receives.
 
-        r_j = relu(W_r m_j)                       a received message, through its own block
-        ordered: c_i = [r_j of i's nearest live edge, of the next, ..., 0 for an empty slot]
-        sum:     c_i = sum over live edges of r_j
+        r_ij = relu(W_r [m_j, e_ij])              a received message, through its own block
+        ordered: c_i = [r_ij of i's nearest live edge, of the next, ..., 0 for an empty slot]
+        sum:     c_i = sum over live edges of r_ij
         h'_i = relu(W [relu(W_o h_i), c_i])
+
+    e_ij says where j is, with `places`; it is left out without.
 
     Attributes:
         message: the module from a robot's features to its message.
@@ -31,14 +39,16 @@ class Joining(Comm):
         received: Width,
         combine: Literal["ordered", "sum"],
         max_neighbours: Width,
+        hearing: Hearing,
     ) -> None:
         super().__init__()
         self.slots = max_neighbours if combine == "ordered" else None
         self.message = message
-        self.received = dense(message_dim, received)
+        self.received = dense(message_dim + hearing.place_numbers, received)
         self.own = dense(in_features, hidden)
         self.join = dense(hidden + received * (self.slots or 1), hidden)
-        self.message_dims, self.out_features = (message_dim,), hidden
+        self.message_dims = (message_dim,)
+        self.give(hidden, in_features, hearing)
 
     def speak(
         self, state: Float[Tensor, "*batch agent feature"], round_index: int
@@ -53,12 +63,22 @@ class Joining(Comm):
         senders: Senders,
         round_index: int,
     ) -> Float[Tensor, "*batch agent joined"]:
+        neighbours = self._heard_in_places if self.places else self._heard
+        return self.join(torch.cat([self.own(state), neighbours(heard, live, senders)], dim=-1))
+
+    def _heard(self, heard: Tensor, live: Tensor, senders: Senders) -> Tensor:
+        """What a robot hears: r_j is the same for all who hear it."""
         received = self.received(heard)
         if self.slots is None:
-            neighbours = sum_live(received, live)
-        else:
-            neighbours = nearest_live(received, live, senders.distance_rank, self.slots)
-        return self.join(torch.cat([self.own(state), neighbours], dim=-1))
+            return sum_live(received, live)
+        return nearest_live(received, live, senders.distance_rank, self.slots)
+
+    def _heard_in_places(self, heard: Tensor, live: Tensor, senders: Senders) -> Tensor:
+        """The same of r_ij."""
+        received = self.received(with_places(heard, senders))
+        if self.slots is None:
+            return sum_live_pairs(received, live)
+        return nearest_live_pairs(received, live, senders.distance_rank, self.slots)
 
 
 def message_layers(in_features: int, hidden: int, message_dim: int) -> nn.Sequential:

@@ -2,14 +2,36 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
-from torch.nn import functional
 
-from marl_clean.comm._live_edges import meet_live, weigh_live
+from marl_clean.comm._join import Join
+from marl_clean.comm._receiving import attend, masked_softmax, nearest_live, sum_live
+from marl_clean.comm._senders import PLACE, Senders, place_of, with_places
+
+__all__ = [
+    "BITS_PER_FLOAT",
+    "Comm",
+    "Delivery",
+    "Direct",
+    "NoisyWhileLearning",
+    "Hearing",
+    "Senders",
+    "Talk",
+    "Width",
+    "attend",
+    "dense",
+    "masked_softmax",
+    "nearest_live",
+    "outgoing",
+    "place_of",
+    "sum_live",
+    "with_places",
+]
 
 Width = int
 """Length of a feature vector; handed over by the network's builder, so never a config key."""
@@ -19,6 +41,31 @@ BITS_PER_FLOAT = 32
 
 class NoisyWhileLearning(nn.Module):
     """A part that draws while it learns (`training`), and is a function of its input when used."""
+
+
+@dataclass(frozen=True)
+class Hearing:
+    """Settings of schemes that are the same for each; each is a key of their yaml.
+
+    Attributes:
+        places: a hearer joins each message with e_ij = (row, col, |row|, |col|) / 10 of its sender.
+        join: what becomes of the hearer's features, see `Join`; `concat`: what the scheme gives.
+    """
+
+    places: bool = False
+    join: Literal["concat", "residual", "gated"] = "concat"
+
+    @property
+    def place_numbers(self) -> int:
+        """By how many numbers a received message is longer."""
+        return PLACE if self.places else 0
+
+    def place_layer(self, width: int) -> nn.Linear | None:
+        """Return the layer from e_ij to what is added to `width` numbers; None without places.
+
+        W [m_j, e_ij] is W_m m_j + W_e e_ij: this is W_e.
+        """
+        return nn.Linear(PLACE, width, bias=False) if self.places else None
 
 
 class Delivery(ABC):
@@ -54,20 +101,6 @@ class Direct(Delivery):
         return message, self.sent
 
 
-class Senders(NamedTuple):
-    """Where the robots that may be heard are, seen from each that may hear them.
-
-    Attributes:
-        distance_rank: `[*B, n, n]` int, [i, j]: the rank of j among the others seen from i; 0 is i
-            itself, 1 its nearest.
-        offset: `[*B, n, n, 2]` float, [i, j]: (row, col) in cells from i to j, 0 over edges that
-            are not live or not in contact now; None unless the scheme's `places`.
-    """
-
-    distance_rank: Tensor
-    offset: Tensor | None = None
-
-
 class Talk(NamedTuple):
     """The result of one step of communication.
 
@@ -92,7 +125,7 @@ class Comm(nn.Module, ABC):
 
         state = begin(h)
         each round: m_j = speak(state)_j,    state_i = listen(state, the m_j that reached i)_i
-        h' = end(state)
+        h' = end(state), or joined with h by `joined`
 
     A scheme is what is sent and how receivers use it; how messages are changed before they arrive
     is a matter of the channel. A robot sends its message to each robot it may talk to, whether or
@@ -111,6 +144,7 @@ class Comm(nn.Module, ABC):
         delay_steps: steps after which a message is heard, as part of the scheme.
         places: `listen` gets the senders' offsets, which robots in contact know of each other.
         out_features: length of the features it gives.
+        joined: how features and what is heard become these, other than by the scheme itself.
     """
 
     message_dims: Sequence[int]
@@ -121,6 +155,22 @@ class Comm(nn.Module, ABC):
     pull: float = 0.0
     delay_steps: int = 0
     places: bool = False
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.joined: Join | None = None  # of this object: a class's would hide the module
+
+    def give(self, width: int, in_features: int, hearing: Hearing) -> None:
+        """Declare that `end` returns `width` numbers a robot: the last step of a constructor.
+
+        By `hearing.join` these are the scheme's features, or join those it took, of `in_features`.
+        """
+        self.places = hearing.places
+        if hearing.join == "concat":
+            self.out_features = width
+        else:
+            self.out_features = in_features
+            self.joined = Join(hearing.join, in_features, width)
 
     @property
     def rounds(self) -> int:
@@ -186,6 +236,7 @@ class Comm(nn.Module, ABC):
         state, sent = self.begin(feature), [feature[..., :0]]
         receivers = delivery.sent.sum(-2).unsqueeze(-1).to(feature.dtype)
         edges, bits = [receivers[..., :0]], torch.zeros_like(receivers)
+        hears = torch.zeros_like(adjacency[..., 0])
         for round_index in range(self.rounds):
             message, gate = self.speak(state, round_index), self.gate(state, round_index)
             reached = receivers
@@ -195,10 +246,14 @@ class Comm(nn.Module, ABC):
             edges.append(reached)
             bits = bits + price * self.numbers(round_index) * reached
             heard, live = delivery(message, round_index)
+            hears = hears | live.any(-1)
             audible = self._audible(senders, adjacency & live, heard)
             state = self.listen(state, heard, live, audible, round_index)
         message, reached = torch.cat(sent, dim=-1), torch.cat(edges, dim=-1)
-        return Talk(self.end(state), message, reached, bits, self.attention(state))
+        given = self.end(state)
+        if self.joined is not None:
+            given = self.joined(feature, given, hears)
+        return Talk(given, message, reached, bits, self.attention(state))
 
     def _audible(self, senders: Senders, live: Tensor, heard: Tensor) -> Senders:
         """Return where those are who are heard now, where the scheme asks for it."""
@@ -224,71 +279,3 @@ def outgoing(feature: Tensor, detach: bool) -> Tensor:
 def dense(before: int, after: int) -> nn.Sequential:
     """Return a fully connected layer and its ReLU."""
     return nn.Sequential(nn.Linear(before, after), nn.ReLU())
-
-
-def sum_live(
-    value: Float[Tensor, "*batch agent width"],
-    adjacency: Bool[Tensor, "*batch agent agent"],
-) -> Float[Tensor, "*batch agent width"]:
-    """Return for each robot the sum of its live neighbours' values; 0 without any."""
-    return weigh_live(adjacency.to(value.dtype), value, adjacency)
-
-
-def nearest_live(
-    value: Float[Tensor, "*batch agent width"],
-    adjacency: Bool[Tensor, "*batch agent agent"],
-    distance_rank: Int[Tensor, "*batch agent agent"],
-    slots: int,
-) -> Float[Tensor, "*batch agent joined"]:
-    """Return for each robot its live neighbours' values side by side, nearest first.
-
-    There are `slots` of them; one without a robot holds zeros.
-    """
-    agents, width = value.shape[-2:]
-    taken = min(slots, agents)
-    beyond_all = torch.full_like(distance_rank, agents)
-    live_rank = torch.where(adjacency, distance_rank, beyond_all)
-    rank, other = live_rank.topk(taken, dim=-1, largest=False)
-    index = other.flatten(-2).unsqueeze(-1)
-    gathered = value.gather(-2, index.expand(*index.shape[:-1], width))
-    placed = gathered.unflatten(-2, (agents, taken))
-    heard = torch.where(rank.unsqueeze(-1) < agents, placed, 0.0).flatten(-2)
-    return functional.pad(heard, (0, (slots - taken) * width))
-
-
-def masked_softmax(
-    score: Float[Tensor, "*batch agent other"], live: Bool[Tensor, "*batch agent other"]
-) -> Float[Tensor, "*batch agent other"]:
-    """Return softmax over the live ones, 0 elsewhere; a row without any is all 0."""
-    lowest = torch.finfo(score.dtype).min  # not -inf: a row of those is NaN, and so its gradient
-    return torch.where(live, torch.where(live, score, lowest).softmax(-1), 0.0)
-
-
-def attend(
-    query: Float[Tensor, "*batch agent key"],
-    message: Float[Tensor, "*batch agent key_and_value"],
-    adjacency: Bool[Tensor, "*batch agent agent"],
-    scale: float,
-    own: Float[Tensor, "*batch agent key_and_value"] | None = None,
-) -> tuple[Float[Tensor, "*batch agent value"], Float[Tensor, "*batch agent other"]]:
-    """Return what each robot makes of its live neighbours' values by their keys: c and a.
-
-        a_ij = softmax over live j of scale q_i . k_j,    c_i = sum over j of a_ij v_j
-
-    A message is [key, value]. `own`: what a robot would have sent itself; then j = i is live too.
-    Without any live j, c_i is exactly 0.
-    """
-    width = query.shape[-1]
-    live = adjacency
-    score = scale * meet_live(query, message[..., :width], live)
-    if own is not None:  # beside the others, rather than among them
-        of_itself = scale * (own[..., :width] * query).sum(-1, keepdim=True)
-        score = torch.cat([score, of_itself], dim=-1)
-        live = functional.pad(adjacency, (0, 1), value=True)
-    weight = masked_softmax(score, live)
-    others = weight[..., : adjacency.shape[-1]]
-    summed = weigh_live(others, message[..., width:], adjacency)
-    if own is None:
-        return summed, others
-    itself = weight[..., -1:]
-    return summed + itself * own[..., width:], others + torch.diag_embed(itself.squeeze(-1))

@@ -2,11 +2,11 @@
 
 from typing import Literal, final
 
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
-from marl_clean.comm._hidden_states import HiddenStates, mean_over_all_others
-from marl_clean.comm.base import Width, sum_live
+from marl_clean.comm._hidden_states import HiddenStates, all_others
+from marl_clean.comm.base import Hearing, Width
 from marl_clean.settings import LayerWidth, PositiveInt
 
 
@@ -15,12 +15,14 @@ class CommNet(HiddenStates):
     """Hear the mean of the others' hidden states, in rounds.
 
         x_i = W_x feature_i,    h_i = tanh(x_i)
-        each round: h'_i = tanh(x_i + F h_i + C m_i),    m_i = sum over live edges of h_j / d_i
+        each round: h'_i = tanh(x_i + F h_i + C m_i)
+        m_i = sum over live edges of [h_j, e_ij] / d_i
         live:   d_i = the number of i's live edges, m_i = 0 without any       (CommNet)
         others: d_i = n - 1, all other robots, so that silence dilutes        (IC3Net)
 
-    F and C are each round's own. The hidden state is the message. With `others` the result
-    depends on how many robots there are, also out of reach.
+    F and C are each round's own. The hidden state is the message; e_ij says where j is, with
+    `places`, and is left out without. With `others` the result depends on how many robots there
+    are, also out of reach.
 
     Source: arXiv 1605.07736; `others`: arXiv 1812.09755.
 
@@ -30,6 +32,7 @@ class CommNet(HiddenStates):
         rounds: messages a step; each is paid for.
         divisor: what the sum over live edges is divided by.
         detach: a receiver's loss does not reach the sender's hidden state.
+        hearing: `places`, `join`: see `marl_clean.comm.base.Hearing`.
     """
 
     def __init__(
@@ -39,15 +42,10 @@ class CommNet(HiddenStates):
         rounds: PositiveInt,
         divisor: Literal["live", "others"],
         detach: bool,
+        hearing: Hearing = Hearing(),
     ) -> None:
-        super().__init__(in_features, hidden, rounds, detach)
+        super().__init__(in_features, hidden, rounds, detach, hearing)
         self.dilutes = divisor == "others"
 
-    def average(
-        self,
-        hidden: Float[Tensor, "*batch agent hidden"],
-        live: Bool[Tensor, "*batch agent other"],
-    ) -> Float[Tensor, "*batch agent hidden"]:
-        if self.dilutes:
-            return mean_over_all_others(hidden, live)
-        return sum_live(hidden, live) / live.sum(-1, keepdim=True).clamp(min=1)
+    def divisor(self, live: Bool[Tensor, "*batch agent other"]) -> Tensor | int:
+        return all_others(live) if self.dilutes else live.sum(-1, keepdim=True).clamp(min=1)

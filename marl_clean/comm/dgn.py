@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from marl_clean.comm.base import Comm, Senders, Width, attend, dense, outgoing
+from marl_clean.comm.base import Comm, Hearing, Senders, Width, attend, dense, outgoing, place_of
 from marl_clean.settings import LayerWidth, NonNegativeFloat, PositiveInt
 
 State = tuple[list[Tensor], Tensor | None]  # features of all rounds so far, the last attention
@@ -16,13 +16,14 @@ State = tuple[list[Tensor], Tensor | None]  # features of all rounds so far, the
 class Dgn(Comm):
     """Attend to neighbours and oneself with several heads, and keep the features of all rounds.
 
-        head m: a_ij = softmax over i and its live edges of q_i . k_j / sqrt(d)
-                c_i^m = sum over j of a_ij v_j,    q, k, v = W_q^m h_i, W_k^m h_j, W_v^m h_j
+        head m: a_ij = softmax over i and its live edges of q_i . k_ij / sqrt(d)
+                c_i^m = sum over j of a_ij v_ij
+                q_i = W_q^m h_i,  k_ij = W_k^m [h_j, e_ij],  v_ij = W_v^m [h_j, e_ij]
         each round: h'_i = relu(W [c_i^1, ..., c_i^M])
         result: [h^0, h^1, ..., h^K], h^0 the encoder's
 
     A robot sends its features h, and each receiver makes keys and values of them; each round
-    has weights of its own.
+    has weights of its own. e_ij says where j is, with `places`, and is left out without; e_ii = 0.
 
     With `pull`, a loss holds each robot's attention in the last round to what it will be: the
     learner adds pull x KL(a || a'), mean over heads and robots, a' of the next frame's observations
@@ -38,6 +39,7 @@ class Dgn(Comm):
         rounds: messages a step; each is paid for.
         detach: a receiver's loss does not reach the sender's features.
         pull: weight of the loss that pulls attention towards the next frame's; 0: none.
+        hearing: `places`, `join`: see `marl_clean.comm.base.Hearing`.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class Dgn(Comm):
         rounds: PositiveInt,
         detach: bool,
         pull: NonNegativeFloat = 0.0,
+        hearing: Hearing = Hearing(),
     ) -> None:
         super().__init__()
         self.heads, self.detach, self.pull = heads, detach, pull
@@ -57,7 +60,9 @@ class Dgn(Comm):
         self.query = nn.ModuleList(nn.Linear(width, joined) for width in widths)
         self.key_and_value = nn.ModuleList(nn.Linear(width, 2 * joined) for width in widths)
         self.join = nn.ModuleList(dense(joined, hidden) for _ in widths)
-        self.message_dims, self.out_features = widths, in_features + rounds * hidden
+        self.message_dims = widths
+        self.place = nn.ModuleList(filter(None, (hearing.place_layer(2 * joined) for _ in widths)))
+        self.give(in_features + rounds * hidden, in_features, hearing)
 
     def begin(self, feature: Float[Tensor, "*batch agent feature"]) -> State:
         return [feature], None
@@ -84,6 +89,7 @@ class Dgn(Comm):
             every_head,
             self.scale,
             own=own,
+            place=self._places(senders, round_index),
         )
         new = self.join[round_index](summed.transpose(-2, -3).flatten(-2))
         return [*before, last, new], attention
@@ -93,6 +99,13 @@ class Dgn(Comm):
 
     def attention(self, state: State) -> Float[Tensor, "*batch head agent other"] | None:
         return state[1]
+
+    def _places(self, senders: Senders, round_index: int) -> Tensor | None:
+        """What is added to keys and values, `[*B, heads, n, n, 2 d]`, with `places`."""
+        if not self.places:
+            return None
+        place = self.place[round_index](place_of(senders))
+        return place.unflatten(-1, (self.heads, -1)).movedim(-2, -4)
 
     def by_head(
         self, value: Float[Tensor, "*batch agent joined"]

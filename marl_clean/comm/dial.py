@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from marl_clean.comm._joining import Joining, message_layers
-from marl_clean.comm.base import NoisyWhileLearning, Width
+from marl_clean.comm.base import Hearing, NoisyWhileLearning, Width
 from marl_clean.settings import LayerWidth, NonNegativeFloat, PositiveInt
 
 
@@ -48,6 +48,7 @@ class Dial(Joining):
         combine: `ordered` takes up to `max_neighbours`, nearest first; `sum` any number.
         max_neighbours: slots of `ordered`; further neighbours are not heard.
         noise_std: standard deviation of the noise while learning.
+        hearing: `places`, `join`: see `marl_clean.comm.base.Hearing`.
     """
 
     bits_per_number = 1
@@ -62,10 +63,11 @@ class Dial(Joining):
         combine: Literal["ordered", "sum"],
         max_neighbours: PositiveInt,
         noise_std: NonNegativeFloat,
+        hearing: Hearing = Hearing(),
     ) -> None:
         message = message_layers(in_features, hidden, message_dim)
         super().__init__(
-            message, in_features, message_dim, hidden, received, combine, max_neighbours
+            message, in_features, message_dim, hidden, received, combine, max_neighbours, hearing
         )
         self.bits = Bits(noise_std)
 

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from marl_clean.comm._joining import Joining
-from marl_clean.comm.base import Width, outgoing
+from marl_clean.comm.base import Hearing, Width, outgoing
 from marl_clean.settings import LayerWidth, PositiveInt
 
 
@@ -14,10 +14,12 @@ from marl_clean.settings import LayerWidth, PositiveInt
 class FullState(Joining):
     """Robots in contact share their whole observation: no bottleneck, an upper bound.
 
-        r_j = relu(W_r h_j)                       j's observation, through the same encoder
-        ordered: c_i = [r_j of i's nearest live edge, of the next, ..., 0 for an empty slot]
-        sum:     c_i = sum over live edges of r_j
+        r_ij = relu(W_r [h_j, e_ij])              j's observation, through the same encoder
+        ordered: c_i = [r_ij of i's nearest live edge, of the next, ..., 0 for an empty slot]
+        sum:     c_i = sum over live edges of r_ij
         h'_i = relu(W [relu(W_o h_i), c_i])
+
+    e_ij says where j is, with `places`; it is left out without.
 
     All robots share the encoder, so the message is computed as its feature h_j; what would be
     sent is the observation, and the bits are those of its numbers.
@@ -32,6 +34,7 @@ class FullState(Joining):
         combine: `ordered` takes up to `max_neighbours`, nearest first; `sum` any number.
         max_neighbours: slots of `ordered`; further neighbours are not heard.
         detach: a receiver's loss does not reach what the encoder makes of the sender's.
+        hearing: `places`, `join`: see `marl_clean.comm.base.Hearing`.
     """
 
     def __init__(
@@ -43,9 +46,17 @@ class FullState(Joining):
         combine: Literal["ordered", "sum"],
         max_neighbours: PositiveInt,
         detach: bool,
+        hearing: Hearing = Hearing(),
     ) -> None:
         super().__init__(
-            nn.Identity(), in_features, in_features, hidden, received, combine, max_neighbours
+            nn.Identity(),
+            in_features,
+            in_features,
+            hidden,
+            received,
+            combine,
+            max_neighbours,
+            hearing,
         )
         self.observed, self.detach = observed, detach
 

@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from marl_clean.comm._hidden_states import HiddenStates, State, mean_over_all_others
-from marl_clean.comm.base import NoisyWhileLearning, Width, outgoing
+from marl_clean.comm._hidden_states import HiddenStates, State, all_others
+from marl_clean.comm.base import Hearing, NoisyWhileLearning, Width, outgoing
 from marl_clean.settings import LayerWidth, PositiveFloat, PositiveInt
 
 
@@ -40,11 +40,12 @@ class Ic3Net(HiddenStates):
     """Hear the sum of what others choose to send, over how many others there are.
 
         x_i = W_x feature_i,    h_i = tanh(x_i),    g_i = gate(h_i), 0 or 1, once a step
-        each round: h'_i = tanh(x_i + F h_i + C sum over live edges of g_j h_j / (n - 1))
+        each round: h'_i = tanh(x_i + F h_i + C sum over live edges of g_j [h_j, e_ij] / (n - 1))
 
-    Silence dilutes: the divisor is all other robots, so the result depends on how many there are,
-    also out of reach. A silent robot pays nothing. The gate learns by straight-through Gumbel
-    from the receivers' losses, also where it is shut.
+    e_ij says where j is, with `places`, and is left out without. Silence dilutes: the divisor is
+    all other robots, so the result depends on how many there are, also out of reach. A silent robot
+    pays nothing. The gate learns by straight-through Gumbel from the receivers' losses, also where
+    it is shut.
 
     Source: arXiv 1812.09755, a value-based port: there the gate is an action of policy gradients,
     it takes effect a step later, and a robot remembers by an LSTM (here `encoder.memory`).
@@ -55,6 +56,7 @@ class Ic3Net(HiddenStates):
         rounds: messages a step; each is paid for.
         temperature: of the gate's gradient; lower is nearer to a step, and steeper.
         detach: a receiver's loss does not reach the sender's hidden state, only the gate's weights.
+        hearing: `places`, `join`: see `marl_clean.comm.base.Hearing`.
     """
 
     dilutes = True
@@ -66,16 +68,13 @@ class Ic3Net(HiddenStates):
         rounds: PositiveInt,
         temperature: PositiveFloat,
         detach: bool,
+        hearing: Hearing = Hearing(),
     ) -> None:
-        super().__init__(in_features, hidden, rounds, detach)
+        super().__init__(in_features, hidden, rounds, detach, hearing)
         self.speaks = Gate(hidden, temperature)
 
-    def average(
-        self,
-        hidden: Float[Tensor, "*batch agent hidden"],
-        live: Bool[Tensor, "*batch agent other"],
-    ) -> Float[Tensor, "*batch agent hidden"]:
-        return mean_over_all_others(hidden, live)
+    def divisor(self, live: Bool[Tensor, "*batch agent other"]) -> int:
+        return all_others(live)
 
     def begin(self, feature: Float[Tensor, "*batch agent feature"]) -> State:
         skip, hidden = super().begin(feature)

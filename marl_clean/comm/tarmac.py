@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from marl_clean.comm.base import Comm, Senders, Width, attend, outgoing
+from marl_clean.comm.base import Comm, Hearing, Senders, Width, attend, outgoing, place_of
 from marl_clean.settings import LayerWidth, PositiveInt
 
 
@@ -15,10 +15,12 @@ class TarMac(Comm):
     """Send a signature and a value; receivers weigh values by how signatures meet their query.
 
         k_j = W_k h_j,  v_j = W_v h_j    sent;    q_i = W_q h_i    kept
-        a_ij = softmax over live edges of q_i . k_j / sqrt(d_key),    c_i = sum over j of a_ij v_j
+        k_ij = k_j + U_k e_ij,  v_ij = v_j + U_v e_ij    as i hears them
+        a_ij = softmax over live edges of q_i . k_ij / sqrt(d_key),    c_i = sum over j of a_ij v_ij
         each round: h'_i = tanh(W [h_i, c_i])
 
-    A robot without live edge has c_i = 0 exactly. Rounds share their weights.
+    e_ij says where j is, with `places`; without, k_ij = k_j and v_ij = v_j. A robot without live
+    edge has c_i = 0 exactly. Rounds share their weights.
 
     Source: arXiv 1810.11187, where a robot hears itself too: `self_included`.
 
@@ -29,6 +31,7 @@ class TarMac(Comm):
         rounds: messages a step; each is paid for.
         self_included: a robot also attends to what it sends itself, at no cost.
         detach: a receiver's loss does not reach the sender's features.
+        hearing: `places`, `join`: see `marl_clean.comm.base.Hearing`.
     """
 
     def __init__(
@@ -39,6 +42,7 @@ class TarMac(Comm):
         rounds: PositiveInt,
         self_included: bool,
         detach: bool,
+        hearing: Hearing = Hearing(),
     ) -> None:
         super().__init__()
         self.self_included, self.detach = self_included, detach
@@ -46,7 +50,9 @@ class TarMac(Comm):
         self.message = nn.Linear(in_features, key_dim + message_dim)
         self.query = nn.Linear(in_features, key_dim)
         self.join = nn.Linear(in_features + message_dim, in_features)
-        self.message_dims, self.out_features = (key_dim + message_dim,) * rounds, in_features
+        self.message_dims = (key_dim + message_dim,) * rounds
+        self.place = hearing.place_layer(key_dim + message_dim)
+        self.give(in_features, in_features, hearing)
 
     def speak(
         self, state: Float[Tensor, "*batch agent feature"], round_index: int
@@ -62,5 +68,6 @@ class TarMac(Comm):
         round_index: int,
     ) -> Float[Tensor, "*batch agent feature"]:
         own = self.message(state) if self.self_included else None
-        sum_of_values, _ = attend(self.query(state), heard, live, self.scale, own)
+        place = None if self.place is None else self.place(place_of(senders))
+        sum_of_values, _ = attend(self.query(state), heard, live, self.scale, own, place)
         return self.join(torch.cat([state, sum_of_values], dim=-1)).tanh()

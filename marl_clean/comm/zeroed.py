@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from marl_clean.comm._joining import Joining, message_layers
-from marl_clean.comm.base import Senders, Width
+from marl_clean.comm.base import Hearing, Senders, Width
 from marl_clean.settings import LayerWidth, PositiveInt
 
 
@@ -25,7 +25,8 @@ class Zeroed(Joining):
 
     Args:
         in_features: length of the encoder's features.
-        message_dim, hidden, received, combine, max_neighbours: as in `marl_clean.comm.plan.Plan`.
+        message_dim, hidden, received, combine, max_neighbours, hearing: as in
+            `marl_clean.comm.plan.Plan`.
     """
 
     def __init__(
@@ -36,10 +37,11 @@ class Zeroed(Joining):
         received: LayerWidth,
         combine: Literal["ordered", "sum"],
         max_neighbours: PositiveInt,
+        hearing: Hearing = Hearing(),
     ) -> None:
         message = message_layers(in_features, hidden, message_dim)
         super().__init__(
-            message, in_features, message_dim, hidden, received, combine, max_neighbours
+            message, in_features, message_dim, hidden, received, combine, max_neighbours, hearing
         )
 
     @property
@@ -52,4 +54,5 @@ class Zeroed(Joining):
         rank = torch.zeros(
             *state.shape[:-1], state.shape[-2], dtype=torch.int64, device=state.device
         )
-        return self.listen(state, self.speak(state, 0), rank > 0, Senders(rank), 0)
+        nobody = Senders(rank, state.new_zeros(*rank.shape, 2))
+        return self.listen(state, self.speak(state, 0), rank > 0, nobody, 0)

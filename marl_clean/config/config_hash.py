@@ -13,6 +13,8 @@ LATER: dict[str, Any] = {
     "house.free_colours": None,
     "house.margins": [[0, 0]],
     "encoder.norm": "none",
+    "comm.places": False,
+    "comm.join": "concat",
     "env.wall_pays": 2.0,
     "env.shaping": 0.0,
     "agent.mask_walls": False,

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from marl_clean.comm.base import BITS_PER_FLOAT, Comm, Talk
+from marl_clean.testing import _hearers
 from marl_clean.testing._broken import (
     Clause,
     require,
@@ -23,10 +24,10 @@ from marl_clean.testing._graphs import (
     require_unheard,
     within,
 )
+from marl_clean.testing._hearers import TALK
 from marl_clean.testing._levels import Level, Maker, maker
 
 OBSERVED = 50  # numbers in an observation, for schemes that send those
-TALK = ("feature", "message", "edges", "bits")  # of `Talk`, in its order
 
 
 def check_comm(level: Level, *, compiled: bool = False, **settings: Any) -> None:
@@ -106,15 +107,22 @@ def a_dead_edge_has_no_influence_not_even_nan_and_no_gradient(make: Maker) -> No
 
 def an_offset_over_a_dead_edge_has_no_influence(make: Maker) -> None:
     """Where a robot is, only robots in contact with it may know, and only if the scheme asks."""
-    comm = make_scheme(make)
-    feature, live, senders = draw(6, n_agents=5, share=0.3)
-    assert senders.offset is not None
-    known = live.unsqueeze(-1) & torch.tensor(comm.places)
-    elsewhere = torch.where(known, senders.offset, torch.nan)
-    before = comm(feature, live, senders)
-    after = comm(feature, live, senders._replace(offset=elsewhere))
-    for name, entry, moved in zip(TALK, before[:4], after[:4], strict=True):
-        require_equal(moved, entry, f"{name} depends on where robots out of contact are")
+    _hearers.offsets_over_dead_edges_have_no_influence(make_scheme(make))
+
+
+def where_a_sender_is_reaches_its_hearer(make: Maker) -> None:
+    """With `places`, row and col of a sender seen from its hearer reach the hearer, no others."""
+    _hearers.a_sender_elsewhere_is_heard_elsewhere(make_scheme(make))
+
+
+def turning_the_house_matters_only_with_places(make: Maker) -> None:
+    """A house turned by quarters is another house with `places`, and the same without."""
+    _hearers.turning_the_house_matters_only_with_places(make_scheme(make))
+
+
+def who_hears_nothing_keeps_its_features_to_the_bit(make: Maker) -> None:
+    """With `join=residual` or `gated` a robot without live edge keeps its features, to the bit."""
+    _hearers.who_hears_nothing_keeps_its_features(make_scheme(make))
 
 
 def gradient_crosses_exactly_the_edges_within_the_rounds(make: Maker) -> None:
@@ -237,19 +245,7 @@ def robots_out_of_reach_change_nothing_unless_it_dilutes(make: Maker) -> None:
 
 def attention_is_paid_over_live_edges(make: Maker) -> None:
     """Where a scheme attends, the weights are shares, and none falls on a dead edge."""
-    comm = make_scheme(make)
-    feature, live, senders = draw(4, n_agents=5)
-    attention = comm(feature, live, senders).attention
-    if attention is None:
-        require(comm.pull == 0, f"pull is {comm.pull}, but there is no attention to pull")
-        return
-    require(attention.ndim == 4, f"attention is {list(attention.shape)}, not [batch, head, n, n]")
-    dead = ~live & ~torch.eye(5, dtype=torch.bool)
-    most = attention.masked_fill(~dead[:, None], 0).abs().max().item()
-    require(most == 0, f"attention of {most} falls on a dead edge")
-    least, sums = attention.min().item(), attention.sum(-1)
-    require(least >= 0, f"attention of {least} is negative")
-    require(sums <= 1 + 1e-9, f"a robot's attention sums to {sums.max().item()}, more than 1")
+    _hearers.attention_is_paid_over_live_edges(make_scheme(make))
 
 
 def every_weight_learns(make: Maker) -> None:
@@ -281,6 +277,9 @@ CLAUSES: tuple[Clause, ...] = (
     relabelling_the_robots_relabels_the_result,
     a_dead_edge_has_no_influence_not_even_nan_and_no_gradient,
     an_offset_over_a_dead_edge_has_no_influence,
+    where_a_sender_is_reaches_its_hearer,
+    turning_the_house_matters_only_with_places,
+    who_hears_nothing_keeps_its_features_to_the_bit,
     gradient_crosses_exactly_the_edges_within_the_rounds,
     rounds_reach_as_many_hops_and_no_further,
     without_live_edge_the_others_may_be_anyone_or_missing,

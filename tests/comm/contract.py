@@ -3,14 +3,15 @@
 from typing import Any
 
 from marl_clean.comm.base import Comm
-from marl_clean.config.levels import rooms
+from marl_clean.config.levels import read_level, rooms
 from marl_clean.testing._graphs import FEATURES, draw, line, within
 from marl_clean.testing._levels import Maker, maker
 from marl_clean.testing.comm import make_scheme
 
-__all__ = ["DILUTED", "FEATURES", "LEVELS", "VARIANTS", "draw", "line", "make", "within"]
+__all__ = ["DILUTED", "FEATURES", "LEVELS", "TALKING", "VARIANTS", "draw", "line", "make", "within"]
 
 LEVELS: list[tuple[str, dict[str, Any]]] = [(level, {}) for level in rooms()["comm"]]
+TALKING = [level for level, _ in LEVELS if "places" in read_level("comm", level)]
 ALL: list[tuple[str, dict[str, Any]]] = [
     *LEVELS,
     ("plan", {"combine": "sum"}),
@@ -29,6 +30,9 @@ ALL: list[tuple[str, dict[str, Any]]] = [
     ("dial", {"combine": "sum"}),
     ("dgn", {"rounds": 1, "heads": 1}),
     ("dgn", {"detach": True}),
+    *((level, {"places": True, "join": "residual"}) for level in TALKING),
+    ("plan", {"combine": "sum", "places": True, "join": "gated"}),
+    ("tarmac", {"rounds": 2, "self_included": True, "places": True}),
 ]
 
 

@@ -5,8 +5,8 @@ import torch
 
 from marl_clean.comm._hidden_states import HiddenStates
 from marl_clean.testing._broken import Clause
-from marl_clean.testing.comm import CLAUSES
-from tests.comm.contract import DILUTED, VARIANTS, draw, line, make, maker_of
+from marl_clean.testing.comm import CLAUSES, who_hears_nothing_keeps_its_features_to_the_bit
+from tests.comm.contract import DILUTED, TALKING, VARIANTS, draw, line, make, maker_of
 from tests.families import family
 
 
@@ -49,6 +49,20 @@ def test_robots_out_of_reach_dilute_where_all_others_divide(variant: tuple[str, 
     kept = torch.tensor([0, 1, 3, 4])
     fewer = comm.average(hidden[:, kept], live[:, kept][..., kept])
     torch.testing.assert_close(comm.average(hidden, live)[:, kept], fewer * 3 / 4)
+
+
+@pytest.mark.parametrize("join", ["residual", "gated"])
+@pytest.mark.parametrize("level", TALKING)
+def test_who_hears_nothing_keeps_its_features(level: str, join: str) -> None:
+    who_hears_nothing_keeps_its_features_to_the_bit(maker_of(level, join=join))
+
+
+@pytest.mark.parametrize("level", TALKING)
+def test_places_and_join_leave_weights_as_they_were_by_default(level: str) -> None:
+    """So that stored weights fit, and training draws what it drew."""
+    plain, asked = make(level).state_dict(), make(level, places=True, join="gated").state_dict()
+    assert not any("joined" in name or "place" in name for name in plain)
+    assert any("joined" in name for name in asked)
 
 
 def test_some_speak_and_some_do_not() -> None:
