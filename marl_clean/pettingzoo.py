@@ -19,7 +19,7 @@ from torchrl.envs.utils import step_mdp
 from marl_clean import build, keys
 from marl_clean.config.schema import choices
 from marl_clean.env.cleaning import CleaningEnv
-from marl_clean.env.specs import REWARD_TERMS
+from marl_clean.env.specs import terms_of
 from marl_clean.env.viewer import draw_text
 from marl_clean.errors import BadInput
 from marl_clean.python.keywords import Settings, overrides_of
@@ -61,7 +61,8 @@ class ParallelCleaning(ParallelEnv[str, Seen, int]):
 
     ## Rewards
     What the robot is paid by the config's `reward`. Infos hold the three terms it earned itself,
-    `step`, `cleaning`, `discovery`, and their sum `own_reward`; they are 0 after a reset.
+    `step`, `cleaning`, `discovery`, with spills `spill`, and their sum `own_reward`; they are 0
+    after a reset.
 
     ## Starting state
     Everything drawn is a pure function of (seed, episode): `reset(seed=s)` begins episode 0 of
@@ -138,7 +139,7 @@ class ParallelCleaning(ParallelEnv[str, Seen, int]):
             self.batched.set_seed(int(seed))
         self._now = self.batched.reset()
         self.agents = list(self.possible_agents)
-        nothing = dict.fromkeys((*REWARD_TERMS, "own_reward"), 0.0)
+        nothing = dict.fromkeys((*terms_of(self.world.rules), "own_reward"), 0.0)
         self._show()
         return self._observations(), {agent: dict(nothing) for agent in self.agents}
 
@@ -158,7 +159,7 @@ class ParallelCleaning(ParallelEnv[str, Seen, int]):
         frame = self.batched.step(self._now)["next"]
         self._now = step_mdp(self._now)
         reward = dict(zip(self.agents, frame[keys.REWARD].flatten().tolist(), strict=True))
-        terms = {name: frame[keys.AGENTS, "info", name] for name in REWARD_TERMS}
+        terms = {name: frame[keys.AGENTS, "info", name] for name in terms_of(self.world.rules)}
         terms["own_reward"] = frame[keys.OWN_REWARD]
         listed = {name: term.flatten().tolist() for name, term in terms.items()}
         infos = {

@@ -4,6 +4,7 @@ No torch here: the commands check a config against these types before torch is i
 """
 
 import re
+from dataclasses import dataclass
 from enum import Enum, StrEnum
 from typing import Annotated, Literal, TypedDict, TypeVar
 
@@ -139,6 +140,8 @@ NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 UncleanedAtMost = Annotated[float, Field(ge=0, lt=0.5)]  # a cleaned cell is shown as 0.5 at most
 WallPays = Annotated[float, Field(ge=0, le=2)]  # at most what an unknown free cell pays
+SpillsPerEpisode = Annotated[int, Field(ge=0, le=1000)]
+SpillSize = Annotated[int, Field(ge=1, le=64)]
 UnknownPaysAs = Annotated[float, AfterValidator(_pays_as)]
 Scales = Annotated[int, Field(ge=2, le=4)]
 RangeCells = Annotated[int, Field(ge=1, le=1024)]
@@ -205,6 +208,24 @@ Sha256 = Annotated[str, AfterValidator(_sha256)]
 FolderName = Annotated[str, AfterValidator(_folder_name)]
 Device = Annotated[str, AfterValidator(_device)]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
+
+
+@dataclass(frozen=True)
+class Spills:
+    """The config's section `env.spills`: patches of clean cells that become dirty again.
+
+    Attributes:
+        per_episode: how many spills are drawn for an episode.
+        noticed_within: steps on foot from the patch within which a robot notices a spill; None:
+            all robots notice it, however far away; 0: none does.
+        size: the side in cells of the square that a spill covers.
+        pays: what cleaning a spilt cell pays, in place of the cleaning term.
+    """
+
+    per_episode: SpillsPerEpisode = 0
+    noticed_within: NonNegativeInt | None = None
+    size: SpillSize = 2
+    pays: NonNegativeFloat = 2.0
 
 
 class LaterEvaluation(TypedDict, total=False):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import partial
@@ -62,6 +62,10 @@ class Settings:
     wall_pays: Fraction | float = 2  # what learning of a wall pays
     shaping: Fraction | float = 0  # w of the shaping term w (gamma phi' - phi)
     gamma: Fraction | float = Fraction(7, 8)  # the learner's
+    spills: int = 0  # an episode; when and where is drawn elsewhere, and handed to the world
+    spill_size: int = 2
+    spill_noticed_within: int | None = None  # steps on foot; None: all robots notice it
+    spill_pays: Fraction | float = 2
     bump_noise: float = 0.0  # who misses which bump is drawn elsewhere, and handed to the world
     max_steps: int | None = None  # None: 4 * R * C // n_agents + 50
     stuck_after: int | None = 100  # None: off
@@ -98,6 +102,7 @@ class Record:
     blocked: bool
     written: int  # the step at which it was written
     cleaned: int | None = None  # the step at which it was last cleaned, as far as the map knows
+    spilt: bool = False  # dirty because of a spill, as far as the map knows
 
 
 Map = dict[Place, Record]
@@ -117,8 +122,8 @@ def value(record: Record | None, now: int, settings: Settings) -> Fraction:
 def union(one: Map, other: Map) -> Map:
     """The later record wins, of equals blocked wins (and of two available ones the cleaned)."""
 
-    def strength(record: Record) -> tuple[int, bool, bool]:
-        return record.written, record.blocked, record.cleaned is not None
+    def strength(record: Record) -> tuple[int, bool, bool, bool]:
+        return record.written, record.blocked, record.cleaned is not None, record.spilt
 
     united = dict(one)
     for place, record in other.items():
@@ -207,6 +212,7 @@ class Outcome:
     step: list[Fraction]
     cleaning: list[Fraction]
     discovery: list[Fraction]
+    spill: list[Fraction]
     own_reward: list[Fraction]
     shaping: list[Fraction]
     reward: list[Fraction]
@@ -221,6 +227,8 @@ class World:
     (step, piece, direction), step 1 being the first that the robots take; `memorised` is the
     layout that a stale map believes in, the true one otherwise. Robots do not notice a bump at
     the (step, robot) of `missed`, steps counted from 0: it writes nothing and pays nothing.
+    `spills` has, for each step at which something is spilt, a number in [0, 2^32) that decides
+    which clean cell is hit.
     """
 
     def __init__(
@@ -232,6 +240,7 @@ class World:
         moves: Sequence[tuple[int, int, int]] = (),
         memorised: Grid | None = None,
         missed: Iterable[tuple[int, int]] = (),
+        spills: Mapping[int, int] | None = None,
     ) -> None:
         self.settings = settings
         self.rows, self.cols = len(free), len(free[0])
@@ -239,6 +248,10 @@ class World:
         self.furniture = furniture or [[0] * self.cols for _ in range(self.rows)]
         self.moves = list(moves)
         self.missed = set(missed)
+        self.spills = dict(spills or {})
+        self.spilt: set[Place] = set()  # and not cleaned since
+        self.spill_delays: list[int] = []  # of the cells cleaned again, or covered by furniture
+        self.spilt_at: dict[Place, int] = {}  # when each cell of `spilt` was
         self.positions = list(starts)
         self.n_agents = len(self.positions)
         default_steps = 4 * self.rows * self.cols // self.n_agents + 50
@@ -391,7 +404,14 @@ class World:
         before = [self.potential(robot) for robot in robots]
         noticed = [bumped[i] and (self.steps, i) not in self.missed for i in robots]
         terms = [self._reward_terms(i, target[i], moved[i], noticed[i]) for i in robots]
-        own_reward = [sum(robot_terms, Fraction(0)) for robot_terms in terms]
+        pays = exact(self.settings.spill_pays)
+        spill = [
+            pays if m and place in self.spilt else Fraction(0)
+            for m, place in zip(moved, target, strict=True)
+        ]
+        own_reward = [
+            sum(own, Fraction(0)) + extra for own, extra in zip(terms, spill, strict=True)
+        ]
 
         self.steps += 1
         for robot in robots:
@@ -401,6 +421,8 @@ class World:
                 self.map_of(robot)[target[robot]] = Record(blocked=True, written=self.steps)
         newly_cleaned = self._clean()
         self._move_furniture()
+        self._close_spills()
+        self._spill()
         self._touch()
         self._merge()
 
@@ -419,6 +441,7 @@ class World:
             step=step,
             cleaning=cleaning,
             discovery=discovery,
+            spill=spill,
             own_reward=own_reward,
             shaping=shaping,
             reward=self._shared(earned, contacts),
@@ -451,7 +474,8 @@ class World:
         held_free = held is not None and not held.blocked
         held_blocked = held is not None and held.blocked
         v = value(held, self.steps, settings) if held_free else exact(settings.unknown_value)
-        uncleaned = moved and v <= exact(settings.uncleaned_at_most)
+        of_spill = target in self.spilt or (held is not None and held.spilt)
+        uncleaned = moved and v <= exact(settings.uncleaned_at_most) and not of_spill
         every = settings.obstacles is ObstaclePay.EVERY
         learnt = (moved and not held_free) or (bumped and (every or not held_blocked))
 
@@ -507,8 +531,48 @@ class World:
                 self.free, self.furniture = layout
                 self.cleaned &= free_places(self.free)
 
+    def _close_spills(self) -> None:
+        """Nothing is spilt any more where a robot stands, or a piece of furniture does."""
+        for place in sorted(self.spilt):
+            if place in self.positions or not self.is_free(place):
+                self.spilt.remove(place)
+                self.spill_delays.append(self.steps - self.spilt_at.pop(place))
+
+    def _spill(self) -> None:
+        """Clean cells in a square become dirty; robots near enough know all of these."""
+        clean = [p for p in sorted(self.cleaned - self.spilt) if p not in self.positions]
+        if self.steps not in self.spills or not clean:
+            return
+        row, col = clean[self.spills[self.steps] * len(clean) >> 32]
+        size = self.settings.spill_size
+        top, left = row - (size - 1) // 2, col - (size - 1) // 2
+        square = set(product(range(top, top + size), range(left, left + size)))
+        hit = square & set(clean)
+        self.spilt |= hit
+        self.spilt_at |= dict.fromkeys(hit, self.steps)
+        most = self.settings.spill_noticed_within
+        free = free_places(self.free)
+        for robot, position in enumerate(self.positions):
+            walks = walking_distances(free, position)
+            if most is None or min(walks[place] for place in hit) <= most:
+                notice = Record(False, written=self.steps, spilt=True)
+                self.map_of(robot).update(dict.fromkeys(hit, notice))
+
+    def spill_delay(self) -> Fraction | None:
+        """Mean steps from spill to clean over the cells spilt so far, open ones until now."""
+        delays = self.spill_delays + [self.steps - at for at in self.spilt_at.values()]
+        return Fraction(sum(delays), len(delays)) if delays else None
+
+    def spill_cleaned(self) -> Fraction | None:
+        """The share of the cells spilt so far that are not open."""
+        closed, still_open = len(self.spill_delays), len(self.spilt)
+        return Fraction(closed, closed + still_open) if closed + still_open else None
+
     def _touch(self) -> None:
-        """With touch4 the four neighbours are known; one known as available stays as it is."""
+        """With touch4 the four neighbours are known; one known as available stays as it is.
+
+        Unless something is spilt there, which is noticed.
+        """
         if self.settings.sensor is not Sensor.TOUCH4:
             return
         for robot, position in enumerate(self.positions):
@@ -517,6 +581,8 @@ class World:
                 held = known.get(place)
                 if not self.is_free(place):
                     known[place] = Record(blocked=True, written=self.steps)
+                elif place in self.spilt:
+                    known[place] = Record(blocked=False, written=self.steps, spilt=True)
                 elif held is None or held.blocked:
                     known[place] = Record(blocked=False, written=self.steps)
 
@@ -562,10 +628,10 @@ def search(
 
 
 def targets(world: World, robot: int, orders: Orders = ()) -> list[Place]:
-    """The unknown cells it reaches, or where there are none the dirty ones; nearest first."""
+    """The unknown or spilt cells it reaches, or where there are none the dirty; nearest first."""
     known = world.map_of(robot)
     others = [place for place in search(world, robot, orders) if place != world.positions[robot]]
-    unknown = [place for place in others if place not in known]
+    unknown = [place for place in others if place not in known or known[place].spilt]
     dirty = [p for p in others if value(known.get(p), world.steps, world.settings) == DIRTY]
     return unknown or dirty
 
@@ -642,6 +708,7 @@ class Episode:
     coverage: list[tuple[int, int]] = field(default_factory=list)  # by state
     positions: list[list[Place]] = field(default_factory=list)  # by state
     certified: list[bool] = field(default_factory=list)  # by state
+    spills: list[dict[str, Fraction | None]] = field(default_factory=list)  # by state, if any
     outcomes: list[Outcome] = field(default_factory=list)  # by step
     edges: list[int] = field(default_factory=list)  # by step, as the actions were chosen
 
@@ -654,6 +721,9 @@ def play(world: World, joint_actions: Iterable[Sequence[int]], certify: bool = F
         episode.coverage.append(world.coverage())
         episode.positions.append(list(world.positions))
         episode.certified.append(world.certified())
+        if world.settings.spills:
+            delay, cleaned = world.spill_delay(), world.spill_cleaned()
+            episode.spills.append({"spill_delay": delay, "spill_cleaned": cleaned})
 
     note()
     for actions in joint_actions:
@@ -730,6 +800,7 @@ def measures(episode: Episode) -> dict[str, Any]:
         "balance": math.sqrt(variance) / mean,
         "bumps": sum(sum(outcome.bumped) for outcome in outcomes),
         "collisions": sum(sum(outcome.collided) for outcome in outcomes),
+        **(episode.spills[end] if episode.spills else {}),
         "contact": Fraction(sum(map(bool, episode.edges[:end])), end) if end else None,
         "edges": Fraction(sum(episode.edges[:end]), end) if end else None,
     }

@@ -7,6 +7,7 @@ the path of a GPU, walked on a CPU, in which what a GPU would be waited for is c
 import traceback
 import warnings
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,7 @@ from marl_clean.env.transform import WorldTransform
 from marl_clean.observation import compass
 from marl_clean.storage.checkpoint import Checkpoints
 from marl_clean.trainer.base import TrainingLoop
-from marl_clean.world import distance, floods, potential, step
+from marl_clean.world import distance, floods, potential, spills, step
 from marl_clean.world.dynamics import MOVES, moves_on
 from marl_clean.world.state import State
 
@@ -37,15 +38,16 @@ ANY_HOUSE = [
     "trainer.minibatch_frames=128",
     "trainer.imitate=null",  # whoever plans may wait
 ]
+SPILLING = ["env.spills.per_episode=4", "env.spills.noticed_within=3", "env.memory=private"]
 STEPS = 256 // 8
 WAITS = {"floods.py", "transformed.py"}  # in a step: docs/speed.md says why
 PACKAGE = Path(marl_clean.__file__).parent
 READS = ("_local_scalar_dense", "nonzero", "masked_select", "lift_fresh", "equal")
 
 
-def loop_on(device: str, folder: Path) -> TrainingLoop:
+def loop_on(device: str, folder: Path, settings: Sequence[str] = ()) -> TrainingLoop:
     """A training of `any_house`, about to begin."""
-    cfg = compose_config([*ANY_HOUSE, f"device={device}"])
+    cfg = compose_config([*ANY_HOUSE, *settings, f"device={device}"])
     torch.manual_seed(0)
     env = build.make_env(cfg)
     agent = build.make_agent(cfg, env)
@@ -56,7 +58,7 @@ def loop_on(device: str, folder: Path) -> TrainingLoop:
 
 @needs_gpu
 def test_worlds_are_those_of_a_cpu() -> None:
-    settings = [*ANY_HOUSE, "env.memory=private", "observation.position_noise=0.1"]
+    settings = [*ANY_HOUSE, *SPILLING, "observation.position_noise=0.1"]
     envs = [build.make_env(compose_config([*settings, f"device={d}"])) for d in ("cpu", "cuda")]
     carried = [env.reset() for env in envs]
     generator = torch.Generator().manual_seed(0)
@@ -136,6 +138,10 @@ class Reads(TorchDispatchMode):
         return operation(*args, **(kwargs or {}))
 
 
+def every_world(due: torch.Tensor) -> torch.Tensor:
+    return torch.arange(len(due), device=due.device)
+
+
 def take_the_path_of_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """Search by floods, see by tensors, and look at no action."""
     for module in (potential, compass):
@@ -144,12 +150,17 @@ def take_the_path_of_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compass.Compass, "by_machine_code", compass.Compass.by_tensors)
     monkeypatch.setattr(potential, "by_machine_code", potential.by_tensors)
     monkeypatch.setattr(cleaning, "check_actions", lambda action: None)
+    monkeypatch.setattr(spills, "within_steps", floods.flood_within)
+    monkeypatch.setattr(spills, "worlds_to_spill_in", every_world)
 
 
 @pytest.mark.slow
-def test_nothing_else_is_read_from_a_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("settings", [[], SPILLING], ids=["plain", "spills"])
+def test_nothing_else_is_read_from_a_step(
+    settings: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     take_the_path_of_a_gpu(monkeypatch)
-    loop = loop_on("cpu", tmp_path)
+    loop = loop_on("cpu", tmp_path, settings)
     with Reads() as reads:
         block = next(loop.blocks)
     assert block["next", keys.DONE].any()
@@ -162,8 +173,9 @@ def test_nothing_else_is_read_from_a_step(tmp_path: Path, monkeypatch: pytest.Mo
         [],
         ["env.memory=private", "env.sensor=touch4", "observation.position_noise=0.1"],
         ["env.memory=merged", "topology=sight"],
+        [*SPILLING, "env.sensor=touch4"],
     ],
-    ids=["shared", "private", "merged"],
+    ids=["shared", "private", "merged", "spills"],
 )
 def test_all_is_made_on_the_device_of_the_worlds(
     settings: list[str], monkeypatch: pytest.MonkeyPatch
@@ -193,6 +205,8 @@ def test_all_is_made_on_the_device_of_the_worlds(
     reads = [transform.read for transform in transforms]
     action = torch.zeros((8, 2), dtype=torch.int64, device="meta")
     _, after = step.step_(state, action, worlds.moves.to("meta"), setup, None, step.Along(reads))
+    if setup.rules.spills.per_episode:
+        spills.spill_(state, setup)
     rows = torch.arange(3, device="meta")
     _, begun = step.begin_rows_(state, setup, rows, state.episode[rows] + 1, reads)
     made = [*after.entries.values(), *begun.values(), *state.tensors().values()]

@@ -95,13 +95,16 @@ class Measure:
 NOT_VALIDATED = ("T_certify", "ratio_certify", "optimum_100", "gap_100")  # measured in tests alone
 ON_VALIDATION = ("finished", *(name for name in MEASURES if name not in NOT_VALIDATED))
 COLUMNS = (  # of metrics.csv, beside those of validation
-    *("reward", "episode_reward", "shaping", "updates", "epsilon", "gamma", "stage"),
+    *("reward", "episode_reward", "shaping", "spill", "updates", "epsilon", "gamma", "stage"),
     *("loss", "loss_critic", "grad_norm", "entropy", "kl_approx", "clip_fraction", "imitation"),
 )
-HIGHER_IS_BETTER = ("finished", "coverage", "coverage_auc", "return", "reward", "episode_reward")
+HIGHER_IS_BETTER = (
+    *("finished", "coverage", "coverage_auc", "return", "reward", "episode_reward"),
+    *("spill", "spill_cleaned"),
+)
 LOWER_IS_BETTER = (
     *(name for name in MEASURES if name.startswith(("T_", "ratio_")) or "_per_cell" in name),
-    *("redundancy", "overlap", "balance", "bumps", "collisions"),
+    *("redundancy", "overlap", "balance", "bumps", "collisions", "spill_delay"),
     *("messages", "edges", "bits", "rounds", "loss", "loss_critic"),
 )
 

@@ -158,7 +158,12 @@ def _composition_error(parsed: Sequence[Override], hydra_message: str) -> str:
     for key in (override.key for override in parsed if override not in chosen):
         if key not in set(dotted_keys(known)):
             return _unknown(key, known)
-    sections = [override.key for override in parsed if isinstance(override.value, dict)]
+    nested = {key.rpartition(".")[0] for key in dotted_keys(known)}
+    sections = [
+        override.key
+        for override in parsed
+        if isinstance(override.value, dict) or override.key in nested - {*rooms()}
+    ]
     return f"{sections[0]}: set a section's keys one by one" if sections else hydra_message
 
 

@@ -17,6 +17,7 @@ LATER: dict[str, Any] = {
     "comm.join": "concat",
     "env.wall_pays": 2.0,
     "env.shaping": 0.0,
+    "env.spills": {"per_episode": 0, "noticed_within": None, "size": 2, "pays": 2.0},
     "agent.mask_walls": False,
     "trainer.imitate": None,
     "trainer.imitate_frames_share": 0.1,

@@ -4,9 +4,9 @@ import difflib
 import importlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from functools import cache
-from typing import Any
+from typing import Any, get_type_hints
 
 from omegaconf import DictConfig, OmegaConf
 from pydantic import TypeAdapter, ValidationError
@@ -46,10 +46,16 @@ def problems_of_level(section: Mapping[str, Any], key: str, room: str) -> Iterat
 def problems_of_mapping(
     values: Mapping[str, Any], accepted: Mapping[str, Any], prefix: str, required: Iterable[str]
 ) -> Iterator[Problem]:
-    """Everything wrong with `values`, whose keys must have the types in `accepted`."""
+    """Everything wrong with `values`, whose keys must have the types in `accepted`.
+
+    A key whose type is a dataclass is a section of these: its own keys are checked one by one.
+    """
     for name, value in values.items():
         if name not in accepted:
             yield Problem(f"{prefix}{name}", f"no such key; {choices(str(name), accepted)}")
+        elif is_dataclass(accepted[name]) and isinstance(value, Mapping):
+            inner = get_type_hints(accepted[name], include_extras=True)
+            yield from problems_of_mapping(value, inner, f"{prefix}{name}.", ())
         elif reason := mismatch(value, accepted[name]):
             yield Problem(f"{prefix}{name}", reason)
     for name in required:

@@ -36,6 +36,7 @@ from marl_clean.world.noise import unnoticed_bumps
 from marl_clean.world.random import Purpose, random_bits, seed_tensor, words_of_robots
 from marl_clean.world.rules import Rules
 from marl_clean.world.setup import Contact, FurnitureMoves, Setup
+from marl_clean.world.spills import spill_
 from marl_clean.world.state import State
 
 
@@ -55,10 +56,11 @@ class CleaningEnv(Compiling):
     ## Observations
     `("agents", "position")`, int64 `[num_envs, n_agents, 2]`: (row, col) in the house; and
     `("agents", "own_reward")`, float32 `[num_envs, n_agents, 1]`, what each robot earned in the
-    last step: the sum of the terms `("agents", "info", "step" | "cleaning" | "discovery")`, see
-    `marl_clean.world.rewards`; 0 after a reset. What a network sees is added by the transforms
-    of `marl_clean.observation` and `marl_clean.topology`, pure functions of `env.state` and
-    `env.setup`, or of `env.reset_state`, the worlds `env.reset_rows` as the last reset began them.
+    last step: the sum of the terms `("agents", "info", "step" | "cleaning" | "discovery")` and,
+    with spills, `"spill"`, see `marl_clean.world.rewards`; 0 after a reset. What a network sees is
+    added by the transforms of `marl_clean.observation` and `marl_clean.topology`, pure functions of
+    `env.state` and `env.setup`, or of `env.reset_state`, the worlds `env.reset_rows` as the last
+    reset began them.
 
     ## Rewards
     `("agents", "reward")`, float32 `[num_envs, n_agents, 1]`: what a robot is paid, its
@@ -138,7 +140,7 @@ class CleaningEnv(Compiling):
         self.houses = houses
         self._started = False
         self.moves = torch.tensor(MOVES, device=self.device)
-        specs = make_specs(num_envs, n_agents, largest_side=max(houses.free.shape[1:]))
+        specs = make_specs(num_envs, n_agents, max(houses.free.shape[1:]), rules)
         self.action_spec, self.observation_spec, self.reward_spec, self.done_spec = specs
         self.to(self.device)
         self.setup = Setup(
@@ -182,7 +184,7 @@ class CleaningEnv(Compiling):
         else:
             rows = mask.view(self.num_envs).nonzero()[:, 0]
         self.begin_rows(rows)
-        return first_frame(self.state)
+        return first_frame(self.state, self.rules)
 
     def begin_rows(
         self, rows: Int[Tensor, " row"], reads: Sequence[step.Read] = ()
@@ -217,10 +219,13 @@ class CleaningEnv(Compiling):
         if rules.bump_noise:
             draw = self.compiled(unnoticed_bumps)
             unnoticed = draw(state, setup.env_index, setup.seed, rules.bump_noise)
-        if setup.furniture.during_episode or rules.sensor is Sensor.TOUCH4:
+        happens = setup.furniture.during_episode or rules.spills.per_episode
+        if happens or rules.sensor is Sensor.TOUCH4:
             outcome = self.compiled(advance_)(state, action, self.moves, rules, unnoticed)
             if setup.furniture.during_episode:
                 move_furniture_(state, rules.margin)
+            if rules.spills.per_episode:
+                spill_(state, setup)
             settled = self.compiled(step.settle_)(state, outcome, setup, along)
         else:
             step_ = self.compiled(step.step_)

@@ -5,18 +5,19 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from marl_clean import keys
-from marl_clean.env.specs import REWARD_TERMS
+from marl_clean.env.specs import REWARD_TERMS, terms_of
 from marl_clean.world.dynamics import Outcome
+from marl_clean.world.rules import Rules
 from marl_clean.world.state import State
 from marl_clean.world.step import Settled
 
 
-def first_frame(state: State) -> TensorDict:
+def first_frame(state: State, rules: Rules) -> TensorDict:
     """Return the frame of a reset, in which nothing is earned and nothing has ended."""
     zero = torch.zeros((len(state.step), 1), dtype=torch.bool, device=state.step.device)
     endings = {key: zero.clone() for key in keys.ENDINGS}
     nothing = torch.zeros((*state.position.shape[:2], 1), device=state.position.device)
-    info = _of_robots(state, {name: nothing.clone() for name in REWARD_TERMS})
+    info = _of_robots(state, {name: nothing.clone() for name in terms_of(rules)})
     robots = {"position": state.position, "own_reward": nothing, "info": info}
     return _of_worlds(state, robots, endings)
 
@@ -27,7 +28,10 @@ def next_frame(state: State, outcome: Outcome, settled: Settled) -> TensorDict:
     A robot is paid what it earned unless a reward split says otherwise.
     """
     terms = (outcome.step_term, outcome.cleaning_term, outcome.discovery_term)
-    info = _of_robots(state, dict(zip(REWARD_TERMS, terms, strict=True)))
+    named = dict(zip(REWARD_TERMS, terms, strict=True))
+    if outcome.spill_term is not None:
+        named["spill"] = outcome.spill_term
+    info = _of_robots(state, named)
     own = outcome.own_reward
     robots = {"position": state.position, "own_reward": own, "info": info}
     robots["reward"] = own.clone() if settled.reward is None else settled.reward

@@ -17,7 +17,8 @@ PLANES = ("blocked", "cleaned", "robots")
 
 
 class GlobalState(WorldTransform):
-    """Adds `"state"`, bool `[*B, 3, R, C]`: blocked cells, cleaned cells, robots.
+    """Adds `"state"`, bool `[*B, 3, R, C]`: blocked cells, cleaned cells (no spilt
+    ones), robots.
 
     R and C are those of the largest house; a smaller house is padded with blocked cells below and
     to the right.
@@ -35,6 +36,8 @@ def planes(state: State, margin: int) -> Bool[Tensor, "env plane row col"]:
     """Return the true state as boolean planes."""
     inner = slice(margin, -margin)
     blocked, cleaned = (m[:, inner, inner] for m in (state.blocked, state.visited))
+    if state.spilt is not None:
+        cleaned = cleaned & ~state.spilt[:, inner, inner]
     robots = torch.zeros_like(blocked)
     world = torch.arange(len(robots), device=robots.device)[:, None]
     robots[world, state.position[..., 0], state.position[..., 1]] = True

@@ -36,4 +36,5 @@ def scene_of(
         coverage=float(world.num_visited / world.num_free),
         contacts=[(first, second) for first, second in edges],
         map_title="shared map" if world.record.shape[1] == 1 else "all maps united",
+        spilt=None if world.spilt is None else house(world.spilt),
     )

@@ -5,12 +5,18 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Un
 
 from marl_clean import keys
 from marl_clean.world.dynamics import MOVES
+from marl_clean.world.rules import Rules
 
 REWARD_TERMS = ("step", "cleaning", "discovery")
 
 
+def terms_of(rules: Rules) -> tuple[str, ...]:
+    """Return the names of the terms of `own_reward`: `spill` only where there are spills."""
+    return (*REWARD_TERMS, "spill") if rules.spills.per_episode else REWARD_TERMS
+
+
 def make_specs(
-    num_envs: int, n_agents: int, largest_side: int
+    num_envs: int, n_agents: int, largest_side: int, rules: Rules
 ) -> tuple[Composite, Composite, Composite, Composite]:
     """Return the specs of actions, observations, rewards and endings."""
     agents = torch.Size([num_envs, n_agents])
@@ -20,7 +26,7 @@ def make_specs(
         return Composite(agents=Composite(**specs, shape=agents), shape=agents[:1])
 
     places = torch.Size([*agents, 2])
-    terms = Composite({name: Unbounded(scalar) for name in REWARD_TERMS}, shape=agents)
+    terms = Composite({name: Unbounded(scalar) for name in terms_of(rules)}, shape=agents)
     flag = Binary(1, torch.Size([num_envs, 1]), dtype=torch.bool)
     return (
         of_agents(action=Categorical(len(MOVES), shape=agents)),

@@ -22,6 +22,7 @@ WALL: Colour = (58, 66, 78)
 FURNITURE: Colour = (150, 118, 92)
 DIRTY: Colour = (222, 203, 164)
 CLEAN: Colour = (168, 222, 209)
+SPILT: Colour = (201, 162, 39)
 UNKNOWN: Colour = (158, 163, 171)
 BLOCKED: Colour = (17, 19, 23)
 CONTACT: Colour = (112, 48, 190)
@@ -59,6 +60,7 @@ class Scene:
     coverage: float
     contacts: Sequence[tuple[int, int]] = field(default=())
     map_title: str = "shared map"
+    spilt: Bool[np.ndarray, "row col"] | None = None  # cleaned, and dirty again by a spill
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,8 @@ def house_colours(scene: Scene) -> UInt8[np.ndarray, "row col 3"]:
     colours[~scene.free & (scene.furniture > 0)] = FURNITURE
     colours[scene.free] = DIRTY
     colours[scene.free & scene.cleaned] = CLEAN
+    if scene.spilt is not None:
+        colours[scene.spilt] = SPILT
     return colours
 
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.evaluation import bounds
 from marl_clean.evaluation.optimum import MOST_CELLS, optimal_T_100
+from marl_clean.evaluation.spill_delay import SpillDelay
 from marl_clean.keys import ADJACENCY, DONE, MESSAGE_BITS, MESSAGE_EDGES, OWN_REWARD
 from marl_clean.settings import Knowledge, Sensor
 from marl_clean.world.distance import neighbours
@@ -60,6 +61,7 @@ class Recorder:
         self.sum_visited = state.num_visited.clone()  # over the steps so far
         self.steps = full(0)
         self.counts = {name: full(0) for name in COUNTED}
+        self.spills = None if state.spilt is None else SpillDelay(state)
         self.total_reward = full(0.0, dtype=torch.float64)
         self.reached = {percent: full(NEVER) for percent in PERCENTS}
         self.certified_at = full(NEVER)
@@ -76,6 +78,8 @@ class Recorder:
         self.first_cleaned += state.newly_cleaned & each
         for name, count in step_counts(state, step).items():
             self.counts[name] += torch.where(live, count, 0)
+        if self.spills is not None:
+            self.spills.update(state, live)
         own_reward = step["next"][OWN_REWARD].to(torch.float64).sum((1, 2))
         self.total_reward += torch.where(live, own_reward, 0.0)
         self.num_visited = torch.where(live, state.num_visited, self.num_visited)
@@ -128,6 +132,8 @@ class Recorder:
             "bumps": self.counts["bumps"].tolist(),
             "collisions": self.counts["collisions"].tolist(),
         }
+        if self.spills is not None:
+            columns |= self.spills.columns()
         for name in RATES:
             columns[name] = shares(self.counts[name], self.steps)
         for name in COSTS:

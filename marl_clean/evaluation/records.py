@@ -33,7 +33,7 @@ MEASURES = (
     *("coverage", "coverage_auc", "return", "redundancy", "overlap", "balance"),
     *("bumps", "collisions", "contact", "messages", "edges", "bits", "rounds"),
     *("messages_per_cell", "edges_per_cell", "bits_per_cell", "rounds_per_cell", "gate"),
-    *("optimum_100", "gap_100"),
+    *("optimum_100", "gap_100", "spill_delay", "spill_cleaned"),
 )
 SHOWN = ("T_90", "T_100", "coverage", "redundancy")  # in every table of houses
 SHOWN_EXTERNAL = ("return",)  # in tables of external tasks, which have no cells

@@ -45,7 +45,9 @@ def make_table(entries: Sequence[Entry]) -> Table:
     if several:
         table.add_column("houses", overflow="fold")
     table.add_column("policy", no_wrap=True)
-    for title in ("finished", "T_90", "x", "T_100", "x", "coverage", "redundancy"):
+    spills = "spill_delay" in first["summary"]
+    titles = ["finished", "T_90", "x", "T_100", "x", "coverage", "redundancy"]
+    for title in titles + ["spill_delay"] * spills:
         table.add_column(title, justify="right", no_wrap=True)
     for entry in entries:
         yardstick = next((other for other in entries if is_yardstick(other, entry)), None)
@@ -87,6 +89,7 @@ def row_of(entry: Entry, yardstick: Entry | None) -> list[str]:
         ratio_to(yardstick, entry, "T_100"),
         percent(summary["coverage"]["mean"]),
         f"{summary['redundancy']['mean']:.2f}",
+        *([interval(summary["spill_delay"])] if "spill_delay" in summary else []),
     ]
 
 

@@ -48,7 +48,8 @@ class Compass(Observation):
 
     Adds `("agents", "observation")`, float32 `[*B, n, 5 K^2 + 227]`, all in [-1, 1]. A goal
     is a cell of the house, not of its ring, that the robot's map does not know, or knows as
-    available and not cleaned in this episode (never dirt that came back). In this order:
+    available and not cleaned in this episode (never dirt that came back by ageing), or as spilt. In
+    this order:
 
     - K x K cells around the robot, five times: blocked; unknown; cleanness (0.3 + 0.7 exp(-age
       / 12) of a cleaned cell, -1 of a known one that is not, 0 of others); (d(own cell) - d(cell))

@@ -19,6 +19,7 @@ from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import (
     is_known_blocked,
     is_known_dirty,
+    is_known_spilt,
     is_known_uncleaned,
     is_unknown,
 )
@@ -41,6 +42,7 @@ class Known(NamedTuple):
     unknown: Grid
     unvisited: Grid  # unknown, or known to be available but not cleaned in this episode
     dirty: Grid
+    spilt: Grid  # dirty because of a spill
 
 
 class Planner(TensorDictModuleBase):
@@ -163,6 +165,7 @@ def read_maps(state: State, rules: Rules) -> Known:
         unknown=unknown & ~occupied,
         unvisited=(unknown | is_known_uncleaned(record)) & ~occupied,
         dirty=is_known_dirty(record, now, rules) & ~occupied,
+        spilt=is_known_spilt(record) & ~occupied,
     )
 
 

@@ -29,7 +29,8 @@ class NearestUnknown(Planner):
     """At every step each robot heads for the nearest cell that its map does not know.
 
     Breadth first over cells not known to be blocked and not occupied now, ties in the order up,
-    right, down, left; none reachable: the nearest dirty cell; none: a random action.
+    right, down, left; none reachable: the nearest dirty cell; none: a random action. A cell known
+    to be spilt counts as an unknown one.
 
     Breadth-first search finds the first of all shortest paths in the order of the actions. On a CPU
     each robot searches; elsewhere one flood from all targets serves every robot, which takes the
@@ -127,11 +128,12 @@ class NearestUnknown(Planner):
 
     def tiers(self, known: Known) -> list[Tier]:
         """Return (passable, targets) of the searches, in the order in which they are tried."""
-        tiers = [(known.passable, known.unknown), (known.passable, known.dirty)]
+        first = known.unknown | known.spilt
+        tiers = [(known.passable, first), (known.passable, known.dirty)]
         if not self.wall_prior:
             return tiers
         walls = likely_walls(known.blocked) & known.unknown
-        return [(known.passable & ~walls, known.unknown & ~walls), *tiers]
+        return [(known.passable & ~walls, first & ~walls), *tiers]
 
 
 def likely_walls(blocked: Grid) -> Grid:

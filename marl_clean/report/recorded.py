@@ -25,7 +25,7 @@ from marl_clean.errors import BadInput
 
 SCHEMA = 1
 REPLAY = "replay.json"
-WALL, FURNITURE, DIRTY, CLEAN = range(4)  # what a cell of the house is
+WALL, FURNITURE, DIRTY, CLEAN, SPILT = range(5)  # what a cell of the house is
 UNKNOWN, BLOCKED, AVAILABLE = range(3)  # what a map holds; from AVAILABLE on the cleaner the higher
 LEVELS = 5  # of how clean an available cell is, from dirty to just cleaned
 MOST_BYTES = 64 << 20
@@ -57,7 +57,7 @@ class _Recording(BaseModel, strict=True, extra="forbid"):
     @model_validator(mode="after")
     def _fits(self) -> "_Recording":
         steps, cells, robots = len(self.contacts), self.rows * self.cols, self.n_agents
-        highest = {"house": CLEAN, "maps": AVAILABLE + LEVELS}
+        highest = {"house": SPILT, "maps": AVAILABLE + LEVELS}
         matrices = [("house", self.house), *(("maps", held) for held in self.maps)]
         for name, digits in matrices:
             _require(len(digits) == cells, f"{name}: {rows_by_cols(self)} need {cells} digits")
@@ -73,7 +73,7 @@ class _Recording(BaseModel, strict=True, extra="forbid"):
         ):
             _require(len(getattr(self, name)) == length, f"{name}: {length} are needed")
         for changed in self.house_changes:
-            _require_changes("house_changes", changed, cells, CLEAN)
+            _require_changes("house_changes", changed, cells, SPILT)
         for maps in self.map_changes:
             _require(len(maps) == len(self.maps), "map_changes: a list for each map is needed")
             for changed in maps:

@@ -25,6 +25,7 @@ from marl_clean.report.recorded import (
     FURNITURE,
     LEVELS,
     SCHEMA,
+    SPILT,
     UNKNOWN,
     WALL,
     Recording,
@@ -108,6 +109,8 @@ def seen(state: State, rules: Rules) -> tuple[Matrix, list[Matrix], Scene]:
     house[~scene.free & (scene.furniture > 0)] = FURNITURE
     house[scene.free] = DIRTY
     house[scene.free & scene.cleaned] = CLEAN
+    if scene.spilt is not None:
+        house[scene.spilt] = SPILT
     rows, cols = scene.free.shape
     inside = slice(rules.margin, rules.margin + rows), slice(rules.margin, rules.margin + cols)
     record = state.record[:1]

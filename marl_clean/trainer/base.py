@@ -170,8 +170,9 @@ class TrainingLoop(ABC):
             raise Diverged(f"frame {self.frames}: a reward is NaN or infinite")
         done = later[keys.DONE].squeeze(-1)
         self.tally.add("reward", later[keys.REWARD])
-        if (shaping := later.get(keys.INFO_SHAPING, None)) is not None:
-            self.tally.add("shaping", shaping)
+        for name, key in (("shaping", keys.INFO_SHAPING), ("spill", keys.INFO_SPILL)):
+            if (term := later.get(key, None)) is not None:
+                self.tally.add(name, term)
         self.tally.add("episode_reward", later[keys.EPISODE_REWARD].mean((-2, -1)), where=done)
         finished = later[keys.TERMINATED].squeeze(-1)
         self.tally.add("finished", finished.double(), where=done)

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from marl_clean.world import searches
-from marl_clean.world.floods import flood, flood_first_steps
+from marl_clean.world.floods import flood, flood_first_steps, flood_within
 from marl_clean.world.searches import UNREACHABLE
 
 
@@ -42,6 +42,18 @@ def walking_distance(
     height, width = passable.shape[-2:]
     grids = (grid.reshape(-1, height, width).numpy() for grid in (passable, sources))
     return torch.from_numpy(searches.distances(*grids)).view(passable.shape)
+
+
+@torch.compiler.disable
+def within_steps(
+    passable: Bool[Tensor, "*batch height width"],
+    sources: Bool[Tensor, "*batch height width"],
+    most: int,
+) -> Bool[Tensor, "*batch height width"]:
+    """Return which cells `walking_distance` has at most `most` steps from a source."""
+    if passable.device.type != "cpu":
+        return flood_within(passable, sources, most)
+    return walking_distance(passable, sources) <= most
 
 
 @torch.compiler.disable

@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from marl_clean.world.rewards import reward_terms
+from marl_clean.world.rewards import reward_terms, spill_term
 from marl_clean.world.rules import Rules
-from marl_clean.world.shared_map import write_records_
+from marl_clean.world.shared_map import spilt_record, write_records_
 from marl_clean.world.state import State, cell_index
 
 # Change of (row, col) by action: 0 up, 1 right, 2 down, 3 left.
@@ -37,6 +37,8 @@ class Outcome(NamedTuple):
     visited_index: Int[Tensor, "env agent"]  # flat over State.visited
     record_index: Int[Tensor, "env entry"]  # flat over State.record
     record_value: Float[Tensor, "env entry"]
+    spill_term: Float[Tensor, "env agent 1"] | None = None  # and the next: None without spills
+    num_open_spilt: Int[Tensor, " env"] | None = None
 
 
 def moves_on(device: torch.device) -> Int[Tensor, "4 2"]:
@@ -78,7 +80,16 @@ def advance_(
     now = (state.step + 1).to(state.record.dtype)[:, None]
     held = held_records(state, target_cell)
     noticed = bumped if unnoticed is None else bumped & ~unnoticed
-    step_term, cleaning_term, discovery_term = reward_terms(held, now, moved, noticed, rules)
+    spilt = spills = num_open_spilt = None
+    if state.spilt is not None and state.num_open_spilt is not None:
+        spilt = moved & state.spilt.flatten(1).gather(1, cell)
+        spills = spill_term(spilt, rules)
+        num_open_spilt = state.num_open_spilt - spilt.sum(-1)
+    terms = reward_terms(held, now, moved, noticed, rules, spilt)
+    step_term, cleaning_term, discovery_term = terms
+    own_reward = step_term + cleaning_term + discovery_term
+    if spills is not None:
+        own_reward = own_reward + spills
 
     step = state.step + 1
     newly_cleaned = ~state.visited.flatten(1).gather(1, cell)
@@ -96,13 +107,15 @@ def advance_(
         step_term=step_term[..., None],
         cleaning_term=cleaning_term[..., None],
         discovery_term=discovery_term[..., None],
-        own_reward=(step_term + cleaning_term + discovery_term)[..., None],
+        own_reward=own_reward[..., None],
         step=step,
         last_progress=torch.where(progress, step, state.last_progress),
         num_visited=state.num_visited + newly_cleaned.sum(-1),
         visited_index=envs * (height * width) + cell,
         record_index=torch.cat([base + cell, base + bump_or_own], -1),
         record_value=torch.cat([written, torch.where(noticed, -written, written)], -1),
+        spill_term=None if spills is None else spills[..., None],
+        num_open_spilt=num_open_spilt,
     )
     _commit_(state, outcome)
     return outcome
@@ -127,7 +140,11 @@ def _commit_(state: State, outcome: Outcome) -> None:
     for name in ("step", "last_progress", "num_visited"):
         setattr(state, name, getattr(outcome, name))
     true = torch.ones((), dtype=torch.bool, device=state.visited.device)
-    state.visited.view(-1).index_put_((outcome.visited_index.reshape(-1),), true)
+    cell = (outcome.visited_index.reshape(-1),)
+    state.visited.view(-1).index_put_(cell, true)
+    if state.spilt is not None:
+        state.num_open_spilt = outcome.num_open_spilt
+        state.spilt.view(-1).index_put_(cell, ~true)
     write_records_(state.record, outcome.record_index, outcome.record_value)
 
 
@@ -135,7 +152,8 @@ def touch_(state: State, rules: Rules) -> None:
     """Write the four neighbours of every robot into its map (`sensor=touch4`).
 
     Walls are written as bumps write them; free cells not yet known to be available become
-    available and dirty; known available ones are left as they are.
+    available and dirty; known available ones are left as they are, spilt ones apart, which are
+    noticed.
     """
     num_envs, n_agents = state.position.shape[:2]
     beside = cells_beside(state, rules)
@@ -143,6 +161,8 @@ def touch_(state: State, rules: Rules) -> None:
     blocked = state.blocked.flatten(1).gather(1, cell)
     now = (state.step + 1).to(held.dtype)[:, None]
     learnt = torch.where(blocked, -now, torch.where(held > 0, held, now - 0.5))
+    if state.spilt is not None:
+        learnt = torch.where(state.spilt.flatten(1).gather(1, cell), spilt_record(now), learnt)
     base = map_base(state).expand(num_envs, n_agents).repeat_interleave(4, -1)
     write_records_(state.record, base + cell, learnt)
 

@@ -11,6 +11,7 @@ from marl_clean.world.random import Purpose, random_below, random_bits
 from marl_clean.world.rules import Rules
 from marl_clean.world.setup import HouseTensors, Setup
 from marl_clean.world.shared_map import MEMORISED_BLOCKED, MEMORISED_FREE, UNKNOWN_RECORD
+from marl_clean.world.spills import draw_spill_steps
 from marl_clean.world.state import State, cell_index
 
 
@@ -58,6 +59,10 @@ def begin(setup: Setup, episode: Int[Tensor, " env"]) -> State:
         collided=collided,
         newly_cleaned=~moved,
     )
+    if rules.spills.per_episode:
+        state.spill_steps = draw_spill_steps(setup, house, episode)
+        state.spilt = torch.zeros_like(blocked)
+        state.num_spilt, state.num_open_spilt = zeros.clone(), zeros.clone()
     if record is not None:
         state.record[:] = record[:, None]
     if rules.sensor is Sensor.TOUCH4:

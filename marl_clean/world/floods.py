@@ -42,6 +42,22 @@ def flood(
     return distance.masked_fill_((distance == 0) & ~sources, UNREACHABLE)
 
 
+def flood_within(
+    passable: Bool[Tensor, "*batch height width"],
+    sources: Bool[Tensor, "*batch height width"],
+    most: int,
+) -> Bool[Tensor, "*batch height width"]:
+    """Return what `within_steps` does; below STEPS_BETWEEN_LOOKS steps nothing is waited for."""
+    wave = reached = packed(sources)
+    unreached = packed(passable & ~sources)
+    for steps in range(1, most + 1):
+        wave = beside(wave) & unreached
+        unreached, reached = unreached ^ wave, reached | wave
+        if steps % STEPS_BETWEEN_LOOKS == 0 and not wave.any():
+            break
+    return unpacked(reached, sources.shape[-1]) > 0
+
+
 def flood_first_steps(
     passable: Bool[Tensor, "env map height width"],
     goals: Bool[Tensor, "env map height width"],

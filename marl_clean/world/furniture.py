@@ -67,5 +67,8 @@ def move_furniture_(state: State, margin: int) -> None:
         )
         unchanged = blocked == state.blocked[rows]
         state.visited[rows] &= unchanged
+        if state.spilt is not None and state.num_open_spilt is not None:  # a piece can cover them
+            state.spilt[rows] &= unchanged
+            state.num_open_spilt[rows] = state.spilt[rows].flatten(1).sum(1)
         state.blocked[rows], state.piece[rows] = blocked, piece
         state.num_visited[rows] = state.visited[rows].flatten(1).sum(1)

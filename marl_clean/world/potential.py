@@ -18,8 +18,8 @@ def potential(state: State, rules: Rules) -> Float[Tensor, "env agent 1"]:
     """Return minus the steps from each robot to the nearest cell that it has to visit.
 
     The walk is over cells known to be available, to the nearest unknown cell of the house, without
-    its ring, or available cell that was never cleaned, by the map that the robot reads. From 0 to
-    -FARTHEST, its value where no such cell can be reached.
+    its ring, or available cell that was never cleaned or is spilt, by the map that the robot reads.
+    From 0 to -FARTHEST, its value where no such cell can be reached.
     """
     on_cpu = state.record.device.type == "cpu"
     steps = (by_machine_code if on_cpu else by_tensors)(state, rules)

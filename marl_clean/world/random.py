@@ -29,6 +29,7 @@ class Purpose(IntEnum):
     BUMP = 5
     PLACE = 6
     CHANNEL = 7
+    SPILL = 8
 
 
 def seed_tensor(seed: int, device: torch.device) -> Int[Tensor, ""]:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from marl_clean.settings import Cases, ObstaclePay
 from marl_clean.world.rules import DISCOVERY_PAYS, Rules
-from marl_clean.world.shared_map import is_known_dirty, map_value
+from marl_clean.world.shared_map import is_known_dirty, is_known_spilt, map_value
 
 Term = Float[Tensor, "env agent"]
 Flag = Bool[Tensor, "env agent"]
@@ -27,16 +27,23 @@ def step_term(moved: Flag) -> Term:
 
 
 def cleaning_term(
-    held: Float[Tensor, "env agent"], now: Float[Tensor, "env 1"], moved: Flag, rules: Rules
+    held: Float[Tensor, "env agent"],
+    now: Float[Tensor, "env 1"],
+    moved: Flag,
+    rules: Rules,
+    spilt: Flag | None = None,
 ) -> Term:
     """Pay 2 - 2 v for entering a cell that counts as uncleaned, v its value in the map.
 
     Uncleaned is what is unknown, wrongly held blocked, dirty, or old enough for
-    `uncleaned_at_most`.
+    `uncleaned_at_most`; not what a spill made dirty, in truth (`spilt`) or in the map, which
+    `spill_term` alone pays for.
     """
     known_free = held > 0
     old_enough = is_known_dirty(held, now, rules) | (now - held >= rules.uncleaned_after)
     uncleaned = ~known_free | old_enough
+    if spilt is not None:
+        uncleaned = uncleaned & ~(spilt | is_known_spilt(held))
     value = torch.where(known_free, map_value(held, now, rules), rules.unknown_pays_as)
     return torch.where(moved & uncleaned, 2 - 2 * value, 0.0)
 
@@ -56,19 +63,25 @@ def discovery_term(entered: Flag, hit: Flag, rules: Rules) -> Term:
     return torch.where(entered, DISCOVERY_PAYS, torch.where(hit, rules.wall_pays, 0.0))
 
 
+def spill_term(spilt: Flag, rules: Rules) -> Term:
+    """Pay `spills.pays` for entering a cell that is spilt, whatever the map says of it."""
+    return torch.where(spilt, rules.spills.pays, 0.0)
+
+
 def reward_terms(
     held: Float[Tensor, "env agent"],
     now: Float[Tensor, "env 1"],
     moved: Flag,
     bumped: Flag,
     rules: Rules,
+    spilt: Flag | None = None,
 ) -> tuple[Term, Term, Term]:
-    """Return the step, cleaning and discovery terms of one step.
+    """Return the step, cleaning and discovery terms of one step; `spilt`: see `cleaning_term`.
 
     Under `cases=exclude` only the last of the three that applies is left, whatever it pays.
     """
     step = step_term(moved)
-    cleaning = cleaning_term(held, now, moved, rules)
+    cleaning = cleaning_term(held, now, moved, rules, spilt)
     entered, hit = learnt(held, moved, bumped, rules)
     discovery = discovery_term(entered, hit, rules)
     if rules.cases is Cases.EXCLUDE:

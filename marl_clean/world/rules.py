@@ -5,7 +5,7 @@ import typing
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
 
-from marl_clean.config.schema import mismatch
+from marl_clean.config.schema import problems_of_mapping
 from marl_clean.errors import BadInput
 from marl_clean.settings import (
     Cases,
@@ -17,6 +17,7 @@ from marl_clean.settings import (
     PositiveInt,
     Probability,
     Sensor,
+    Spills,
     UncleanedAtMost,
     UnknownPaysAs,
     WallPays,
@@ -58,6 +59,7 @@ class Rules:
         shaping: w, the weight of the shaping term, which a transform adds to what robots earn where
             it is above 0; nothing in the worlds themselves depends on it.
         bump_noise: probability that a bump goes unnoticed: nothing is written, nothing paid.
+        spills: patches of clean cells that become dirty again, see `Spills`.
         margin: cells around the house in every stored matrix: the ring's 1 and half the view.
         decay_a_step: how much the shown value of a cleaned cell falls a step.
         dirty_after: the age in steps from which a cell is dirty, ceil(0.5 / decay); NEVER
@@ -82,6 +84,7 @@ class Rules:
     wall_pays: WallPays = DISCOVERY_PAYS
     shaping: NonNegativeFloat = 0.0
     bump_noise: Probability = 0.0
+    spills: Spills = Spills()
     margin: Margin = 7
     decay_a_step: float = field(init=False)
     dirty_after: int = field(init=False)
@@ -89,9 +92,10 @@ class Rules:
 
     def __post_init__(self) -> None:
         types = typing.get_type_hints(Rules, include_extras=True)
-        for name in (rule.name for rule in fields(self) if rule.init):
-            if reason := mismatch(getattr(self, name), types[name]):
-                raise BadInput(f"env.{name}: {reason}")
+        values = {rule.name: getattr(self, rule.name) for rule in fields(self) if rule.init}
+        values["spills"] = vars(self.spills)
+        for problem in problems_of_mapping(values, types, "env.", ()):
+            raise BadInput(f"{problem.key}: {problem.reason}")
 
         # Ages are decided on fractions, once: floats would round at the thresholds.
         half = Fraction(1, 2)

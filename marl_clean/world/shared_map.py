@@ -7,6 +7,7 @@ costs nothing and two maps can be united (paper §3.2):
     record -(t + 1)   blocked, learnt at step t
     record +(t + 1)   available, last cleaned at step t
     record +(t + 1/2) available and dirty, learnt at step t but not cleaned since
+    record +(t + 3/4) available and dirty by a spill, noticed at step t and not cleaned since
 
 Knowledge from before the episode is older than all of these, blocked or not: -1/8 and +1/8.
 With now = t + 1, the age of a record is now - record. float32 holds them up to 2^22 steps.
@@ -30,6 +31,7 @@ from marl_clean.world.rules import (
 UNKNOWN_RECORD = 0.0
 MEMORISED_FREE = 0.125
 MEMORISED_BLOCKED = -0.125
+SPILT_FRACTION = 0.75
 
 
 def is_unknown(record: Tensor) -> Tensor:
@@ -50,8 +52,18 @@ def is_known_dirty(record: Tensor, now: Tensor, rules: Rules) -> Tensor:
 
 
 def is_known_uncleaned(record: Tensor) -> Tensor:
-    """Tell where the map says: available, and not cleaned since the episode began."""
+    """Tell where the map says: available, and not cleaned since the episode or a spill there."""
     return (record > 0) & _is_touched(record)
+
+
+def is_known_spilt(record: Tensor) -> Tensor:
+    """Tell where the map says: available, and dirty because of a spill."""
+    return (record > 0) & (record - record.floor() == SPILT_FRACTION)
+
+
+def spilt_record(now: Tensor) -> Tensor:
+    """Return the record of a cell whose spill is noticed at step `now` - 1."""
+    return now - 1 + SPILT_FRACTION
 
 
 def map_value(record: Tensor, now: Tensor, rules: Rules) -> Tensor:
@@ -75,8 +87,8 @@ def _is_touched(record: Tensor) -> Tensor:
 
 def write_records_(
     record: Float[Tensor, "env map height width"],
-    index: Int[Tensor, "env entry"],
-    value: Float[Tensor, "env entry"],
+    index: Int[Tensor, "row entry"],
+    value: Float[Tensor, "row entry"],
 ) -> None:
     """Write records in place; the one place where a map changes during an episode.
 

@@ -38,13 +38,20 @@ class State:
     collided: Bool[Tensor, "env agent"]
     newly_cleaned: Bool[Tensor, "env agent"]
 
+    # None without spills: an episode then holds, copies and saves nothing of them.
+    spill_steps: Int[Tensor, "env spill"] | None = None  # at which one is due, 0 never
+    spilt: Bool[Tensor, "env height width"] | None = None  # and not cleaned since
+    num_spilt: Int[Tensor, " env"] | None = None  # cells, each as often as it was spilt
+    num_open_spilt: Int[Tensor, " env"] | None = None  # cells of `spilt`
+
     @property
     def n_agents(self) -> int:
         return self.position.shape[1]
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return every field by name; the tensors themselves, not copies."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        """Return every field that is not None by name; the tensors themselves, not copies."""
+        named = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in named.items() if value is not None}
 
     def rows_of(self, rows: Int[Tensor, " row"]) -> "State":
         """Return a copy of the worlds `rows`."""
@@ -64,7 +71,7 @@ class State:
                 setattr(self, name, tensor.index_copy(0, rows, new))
 
 
-MATRICES = ("blocked", "piece", "record", "visited")
+MATRICES = ("blocked", "piece", "record", "visited", "spilt")
 
 
 def cell_index(position: Tensor, margin: int, width: int) -> Tensor:

@@ -32,8 +32,9 @@ SMALL = [
 ]
 NOISE = ["env.bump_noise=0.3", "observation.position_noise=0.3"]
 LATER = ["env.shaping=0.5", "env.wall_pays=0.5", "env.decay_steps=null", "agent.mask_walls=true"]
-CAPTURED = ["observation=frontier", "env.memory=private", *NOISE, *LATER]
-STEP = ["env.memory=private", "env.sensor=touch4"]  # of the maps alone
+SPILLS = ["env.spills.per_episode=3", "env.spills.noticed_within=2"]
+CAPTURED = ["observation=frontier", "env.memory=private", *NOISE, *LATER, *SPILLS]
+STEP = ["env.memory=private", "env.sensor=touch4", *SPILLS]  # of the maps alone
 SIZE = re.compile(r"empty_strided_\w+\(\(([\d, ]+)\)")
 
 

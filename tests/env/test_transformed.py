@@ -38,6 +38,7 @@ CASES = {
     "merged": [*SMALL, "env.memory=merged", "topology=full"],
     "noise": [*SMALL, "env.bump_noise=0.3", "observation.position_noise=0.3"],
     "furniture": [*SMALL, "env.furniture_moves_per_episode=3", "env.sensor=touch4"],
+    "spills": [*SMALL, "env.spills.per_episode=4", "env.memory=private"],
     "lossy": [*SMALL, "channel=[lossy,delayed]", "channel.lossy.burst_start=0.2"],
     "gru": [*SMALL, "encoder.memory=gru"],
     "state": [*SMALL, "agent=qmix", "reward=team"],

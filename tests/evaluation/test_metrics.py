@@ -12,11 +12,12 @@ from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.evaluation.metrics import Recorder
 from marl_clean.house.base import Houses
 from marl_clean.keys import ACTION, ADJACENCY, MESSAGE_BITS, MESSAGE_EDGES
-from marl_clean.settings import HouseOrder, Memory
+from marl_clean.settings import HouseOrder, Memory, Spills
 from marl_clean.world.rules import Rules
 from marl_clean.world.sensing import in_view
 from tests import reference
 from tests.families import family
+from tests.world.strategies import spills
 
 UP, RIGHT, DOWN, LEFT = range(4)
 VIEW = 7
@@ -72,11 +73,13 @@ HOUSES = ("....... ..#.... .......", "... .#. ... ..# ... .#. ...", ".....", "#.
 @family("n_agents", [1, 3], fast=[3])
 @pytest.mark.parametrize("certify", [False, True])
 @pytest.mark.parametrize("memory", [Memory.SHARED, Memory.PRIVATE])
-def test_random_episodes_are_measured_as_by_the_plain_world(n_agents, certify, memory):
+@pytest.mark.parametrize("spilling", [0, 3])
+def test_random_episodes_are_measured_as_by_the_plain_world(n_agents, certify, memory, spilling):
     env = env_of(
         houses_of(*HOUSES),
         n_agents=n_agents,
         memory=memory,
+        spills=Spills(spilling, size=3),
         max_steps=400,  # long enough to become certain in the small ones
         seed=n_agents,
         contact=lambda state: in_view(state.position, VIEW),
@@ -88,10 +91,20 @@ def test_random_episodes_are_measured_as_by_the_plain_world(n_agents, certify, m
     starts = env.state.position.tolist()
     env.set_seed(n_agents)  # the same starts again
     records = played(env, lambda step: drawn[step], certify).records()
-    settings = reference.Settings(stuck_after=None, view_size=VIEW, memory=memory, max_steps=400)
+    settings = reference.Settings(
+        stuck_after=None,
+        view_size=VIEW,
+        memory=memory,
+        max_steps=400,
+        spills=spilling,
+        spill_size=3,
+    )
     for index, picture in enumerate(HOUSES):
         free = [[mark == "." for mark in line] for line in picture.split()]
-        world = reference.World(free, [tuple(place) for place in starts[index]], settings)
+        drawn_spills = spills(spilling, index, free, n_agents, seed=n_agents)
+        world = reference.World(
+            free, [tuple(place) for place in starts[index]], settings, spills=drawn_spills
+        )
         episode = reference.play(world, drawn[:, index].tolist(), certify)
         expected = reference.measures(episode)
         if not certify:
@@ -100,7 +113,9 @@ def test_random_episodes_are_measured_as_by_the_plain_world(n_agents, certify, m
             assert records[index][name] == pytest.approx(value and float(value)), (index, name)
             assert isinstance(value, int) == isinstance(records[index][name], int), name
         assert records[index]["max_steps"] == world.max_steps
+        assert ("spill_delay" in records[index]) == (spilling > 0)
     assert not certify or any(record["T_certify"] for record in records)
+    assert not spilling or any(record["spill_delay"] for record in records)
 
 
 def test_a_corridor_by_hand():

@@ -16,7 +16,7 @@ from marl_clean.observation.crop import Crop
 from marl_clean.reward.individual import Individual
 from marl_clean.reward.neighbours import Neighbours
 from marl_clean.reward.team import Team
-from marl_clean.settings import HouseOrder, Knowledge, Memory, Sensor
+from marl_clean.settings import HouseOrder, Knowledge, Memory, Sensor, Spills
 from marl_clean.topology.full import Full
 from marl_clean.topology.none import Nobody
 from marl_clean.topology.radius import Radius
@@ -83,6 +83,12 @@ def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
         obstacles=settings.obstacles,
         wall_pays=float(settings.wall_pays),
         shaping=float(settings.shaping),
+        spills=Spills(
+            settings.spills,
+            settings.spill_noticed_within,
+            settings.spill_size,
+            float(settings.spill_pays),
+        ),
         bump_noise=settings.bump_noise,
         margin=max(side // 2, settings.view_size // 2),
     )

@@ -29,7 +29,7 @@ from tests.reference import (
 MAX_STEPS_PLAYED = 40
 MAX_AGENTS = 6
 LONGEST_PLAY = 100  # above every number of steps that a test plays a case for
-BUMP = 5  # `Purpose.BUMP`, by its number: published results hang on it
+BUMP, SPILL = 5, 8  # of `Purpose`, by their numbers: published results hang on them
 
 SHAPES = [(1, 2), (2, 3), (3, 7), (7, 3), (1, 9), (9, 1), (4, 4), (6, 5), (5, 8), (8, 8)]
 shapes = st.one_of(
@@ -64,6 +64,7 @@ class Case:
             self.moves,
             self.memorised,
             missed_bumps(self.settings.bump_noise, env_index, len(self.starts)),
+            spills(self.settings.spills, env_index, self.free, len(self.starts)),
         )
 
 
@@ -79,6 +80,21 @@ def missed_bumps(
         for step, robot in product(range(LONGEST_PLAY), range(n_agents))
         if plain_bits(0, env_index, episode, BUMP, step, robot) < threshold
     }
+
+
+def spills(
+    count: int, env_index: int, free: Grid, n_agents: int, episode: int = 0, seed: int = 0
+) -> dict[int, int]:
+    """The world's own draws of a case's spills: by step, the number that decides on the cell."""
+    last = max(1, len(free_places(free)) // n_agents - 1)
+    drawn = {}
+    for spill in range(count):
+        first, end = spill * last // count, (spill + 1) * last // count
+        if end > first:
+            word = plain_bits(seed, env_index, episode, SPILL, 2 * spill)
+            step = 1 + first + (word * (end - first) >> 32)
+            drawn[step] = plain_bits(seed, env_index, episode, SPILL, 2 * spill + 1)
+    return drawn
 
 
 def plain_bits(seed: int, *words: int) -> int:
@@ -150,6 +166,10 @@ def settings(draw: st.DrawFn) -> Settings:
         obstacles=draw(st.sampled_from(ObstaclePay)),
         wall_pays=draw(st.sampled_from([2, 2, Fraction(1, 2), 0])),
         shaping=draw(st.sampled_from([0, 0, Fraction(1, 2)])),
+        spills=draw(st.sampled_from([0, 0, 1, 3, 8])),
+        spill_size=draw(st.integers(1, 4)),
+        spill_noticed_within=draw(st.sampled_from([None, 0, 1, 2, 4, 9])),
+        spill_pays=draw(st.sampled_from([2, Fraction(1, 2), 0])),
         bump_noise=draw(st.sampled_from([0.0, 0.0, 0.3, 1.0])),
         max_steps=draw(st.sampled_from([None, None, None, 7, MAX_STEPS_PLAYED])),
         stuck_after=draw(st.sampled_from([None, None, 100, 20, 8])),

@@ -30,14 +30,17 @@ def assert_same_observation(tensordict, index: int, world: World, side: int) -> 
     )
 
 
-def assert_same_outcome(tensordict, state, index: int, world: World, outcome) -> None:
+def assert_same_outcome(tensordict, env, index: int, world: World, outcome) -> None:
+    state, margin = env.state, env.rules.margin
     assert state.moved[index].tolist() == outcome.moved
     assert state.bumped[index].tolist() == outcome.bumped
     assert state.collided[index].tolist() == outcome.collided
     assert state.newly_cleaned[index].tolist() == outcome.newly_cleaned
     shaping = [(keys.INFO_SHAPING, outcome.shaping)] if world.settings.shaping else []
+    spills = [(keys.INFO_SPILL, outcome.spill)] if world.settings.spills else []
     for key, expected in (
         *shaping,
+        *spills,
         (keys.INFO_STEP, outcome.step),
         (keys.INFO_CLEANING, outcome.cleaning),
         (keys.INFO_DISCOVERY, outcome.discovery),
@@ -49,6 +52,13 @@ def assert_same_outcome(tensordict, state, index: int, world: World, outcome) ->
     assert bool(tensordict[keys.TERMINATED][index]) == outcome.terminated
     assert bool(tensordict[keys.TRUNCATED][index]) == outcome.truncated
     assert (int(state.num_visited[index]), int(state.num_free[index])) == world.coverage()
+    if world.settings.spills:
+        places = {
+            (row - margin, col - margin) for row, col in state.spilt[index].nonzero().tolist()
+        }
+        assert places == world.spilt
+        assert int(state.num_open_spilt[index]) == len(world.spilt)
+        assert int(state.num_spilt[index]) == len(world.spilt) + len(world.spill_delays)
 
 
 def assert_same_play(drawn: list[Case], whole_map: bool) -> None:
@@ -67,7 +77,7 @@ def assert_same_play(drawn: list[Case], whole_map: bool) -> None:
             if not playing[index] or step >= len(drawn[index].actions):
                 continue
             outcome = world.step(actions[index])
-            assert_same_outcome(after, env.base_env.state, index, world, outcome)
+            assert_same_outcome(after, env.base_env, index, world, outcome)
             assert_same_observation(after, index, world, side)
             playing[index] = not (outcome.terminated or outcome.truncated)
         tensordict = _carry(tensordict, after)

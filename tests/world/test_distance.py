@@ -14,8 +14,9 @@ from marl_clean.world.distance import (
     first_steps,
     is_connected,
     walking_distance,
+    within_steps,
 )
-from marl_clean.world.floods import CELLS, flood, flood_first_steps
+from marl_clean.world.floods import CELLS, flood, flood_first_steps, flood_within
 from tests.reference import Place, neighbour, neighbours
 
 SIDES = st.integers(1, 7)
@@ -50,6 +51,9 @@ def test_walking_distances(rows: int, cols: int, seed: int) -> None:
     steps = walking_distance(passable, sources)
     assert steps.dtype == torch.int32
     assert torch.equal(steps, flood(passable, sources))
+    for most in (0, 2, 40):
+        assert torch.equal(within_steps(passable, sources, most), steps <= most)
+        assert torch.equal(flood_within(passable, sources, most), steps <= most)
     for grid in range(3):
         plain = plain_distance(passable[grid], places(sources[grid]), passable[grid])
         # A source is left even where it is not passable.

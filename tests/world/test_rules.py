@@ -6,7 +6,9 @@ from marl_clean.config.class_source import parameters
 from marl_clean.config.compose import compose_config
 from marl_clean.config.schema import instantiate
 from marl_clean.errors import BadInput
-from marl_clean.settings import Memory
+from marl_clean.house.base import draw_houses
+from marl_clean.house.open import Open
+from marl_clean.settings import Memory, Spills
 from marl_clean.world.rules import NEVER, Rules
 from tests.families import family
 
@@ -27,6 +29,29 @@ def test_a_rule_out_of_range_is_refused_in_python_and_in_a_config(name: str) -> 
         Rules(**{name: WRONG[name]})
     with pytest.raises(BadInput, match=f"^env.{name}: must be "):
         compose_config([f"env.{name}={WRONG[name]}"])
+
+
+WRONG_SPILLS = {"per_episode": -1, "noticed_within": -2, "size": 65, "pays": -0.5}
+
+
+@pytest.mark.parametrize("name", WRONG_SPILLS)
+def test_a_key_of_a_section_of_rules_is_refused_by_its_whole_name(name: str) -> None:
+    with pytest.raises(BadInput, match=f"^env.spills.{name}: must be .*, not {WRONG_SPILLS[name]}"):
+        Rules(spills=Spills(**{name: WRONG_SPILLS[name]}))
+    with pytest.raises(BadInput, match=f"^env.spills.{name}: must be .*, not {WRONG_SPILLS[name]}"):
+        compose_config([f"env.spills.{name}={WRONG_SPILLS[name]}"])
+
+
+def test_a_section_of_rules_has_its_keys_and_no_others() -> None:
+    with pytest.raises(BadInput, match="^env.spills.sizes: no such key; did you mean size?"):
+        compose_config(["env.spills.sizes=3"])
+    for wrong in ("3", "null", "[2]"):
+        with pytest.raises(BadInput, match="^env.spills: "):
+            compose_config([f"env.spills={wrong}"])
+    section = compose_config(["env.spills.per_episode=2"]).env
+    assert instantiate(
+        section, houses=draw_houses(Open([5, 5], [5, 5]), [0], 2)
+    ).rules.spills == Spills(2)
 
 
 def test_without_decay_no_age_is_too_old() -> None:
@@ -53,8 +78,6 @@ def test_a_config_gives_the_rules_one_key_each() -> None:
 
 
 def test_instantiate_gathers_keys_and_parts_into_the_record() -> None:
-    from marl_clean.house.base import draw_houses
-
     cfg = compose_config(["env.memory=merged", "env.num_envs=3", "house=open"])
     houses = draw_houses(instantiate(cfg.house), [0], 2)
     env = instantiate(

@@ -3,7 +3,7 @@
 // All state of a player is its step and the matrix it shows; any step is drawn from the last
 // snapshot before it, so that scrubbing backwards costs as little as forwards.
 
-const HOUSE = ["wall", "furniture", "dirty", "clean"];
+const HOUSE = ["wall", "furniture", "dirty", "clean", "spilt"];
 const MAP = ["unknown", "blocked"]; // from 2 on: available, the cleaner the higher
 const AVAILABLE = 2, LEVELS = 5;
 const EVERY = 32; // steps between snapshots
@@ -11,7 +11,7 @@ const ROBOTS = [
   "#0072b2", "#d55e00", "#008c66", "#b24c84", "#b08000", "#2e86c1", "#784212", "#3c3c3c",
 ];
 const COLOURS = {
-  wall: "#3a424e", furniture: "#96765c", dirty: "#decba4", clean: "#a8ded1",
+  wall: "#3a424e", furniture: "#96765c", dirty: "#decba4", clean: "#a8ded1", spilt: "#c9a227",
   unknown: "#9ea3ab", blocked: "#111317", contact: "#7030be",
 };
 
