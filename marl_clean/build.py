@@ -32,6 +32,7 @@ from marl_clean.planner.base import Planner
 from marl_clean.settings import HouseOrder
 from marl_clean.storage.checkpoint import fit_weights, load_weights
 from marl_clean.storage.manifest import weights_sha256
+from marl_clean.world.exchange import Exchange
 
 ACTING_KEYS = ("mask_walls", "play")
 """Settings of learners that change how actions are chosen, not the network."""
@@ -84,6 +85,7 @@ def make_env(
         margin=max(1, observation.reach_cells),
         house_order=house_order,
         contact=topology.contact,
+        exchange=exchange_of(cfg.comm),
         first_env=first_env,
         seed=cfg.seed,
         device=torch.device(cfg.device),
@@ -101,6 +103,11 @@ def make_env(
         further.append(Potential())
     transforms = (topology, observation, *further, *draws(cfg, seeded), *payment(cfg, weight))
     return TransformedWorlds(env, Compose(*transforms))
+
+
+def exchange_of(section: DictConfig) -> Exchange | None:
+    """Return what the robots of a scheme tell each other of their maps; None: nothing."""
+    return Exchange(section.cells) if constant(section["_target_"], "exchanges") else None
 
 
 def make_task(cfg: DictConfig, num_envs: int | None = None, first_env: int = 0) -> TransformedEnv:

@@ -73,6 +73,7 @@ class Settings:
     topology: Literal["view", "radius", "sight", "full", "none"] = "view"
     radius_cells: Fraction | float | None = None  # None: the view's half
     reward: Literal["individual", "neighbours", "team"] = "individual"
+    exchange_cells: int | None = None  # of private maps, that a robot tells another in a step
 
     @property
     def decay_per_step(self) -> Fraction:
@@ -263,9 +264,15 @@ class World:
         n_maps = 1 if settings.memory is Memory.SHARED else self.n_agents
         layout = free_places(self.free if memorised is None else memorised)
         self.maps: list[Map] = [self._first_map(layout) for _ in range(n_maps)]
+        self.said: list[dict[Place, Any]] = [{} for _ in self.maps]
+        self.changed: list[dict[Place, int]] = [{} for _ in self.maps]
+        self.heard_from: list[dict[Place, int]] = [{} for _ in self.maps]
+        self.told_until: dict[tuple[int, int], tuple[int, Place]] = {}
+        self.exchanged_bits = [0] * self.n_agents
         self._clean()
         self._touch()
         self._merge()
+        self._exchange()
 
     # ---- what is there
 
@@ -425,6 +432,7 @@ class World:
         self._spill()
         self._touch()
         self._merge()
+        self._exchange()
 
         terminated = self.cleaned == free_places(self.free)
         after = [0 if terminated else self.potential(robot) for robot in robots]
@@ -595,6 +603,59 @@ class World:
             for j, live in enumerate(line):
                 if live:
                     self.maps[i] = union(self.maps[i], before[j])
+
+    def _exchange(self) -> None:
+        """Robots in contact tell each other what changed in their maps, the oldest first.
+
+        Never what a robot heard from the very one it tells; all from the maps as they were before.
+        """
+        most = self.settings.exchange_cells
+        if most is None:
+            return
+        for robot, known in enumerate(self.maps):
+            for place, record in known.items():
+                if self.said[robot].get(place) != self._content(record):
+                    self.said[robot][place] = self._content(record)
+                    self.changed[robot][place] = self.steps
+                    self.heard_from[robot].pop(place, None)
+        a_cell = (
+            ((self.rows + 2) * (self.cols + 2) - 1).bit_length() + 2 + self.max_steps.bit_length()
+        )
+        self.exchanged_bits = [0] * self.n_agents
+        told: list[tuple[int, int, Place, Record]] = []
+        for hearer, line in enumerate(self.contacts()):
+            for sender, live in enumerate(line):
+                if not live:
+                    continue
+                until = self.told_until.get((hearer, sender), (-1, (-1, -1)))
+                news = sorted(
+                    (step, place)
+                    for place, step in self.changed[sender].items()
+                    if (step, place) > until and self.heard_from[sender].get(place) != hearer
+                )[:most]
+                if news:
+                    self.told_until[hearer, sender] = news[-1]
+                told += [(hearer, sender, p, self.maps[sender][p]) for _, p in news]
+                self.exchanged_bits[sender] += most.bit_length() + len(news) * a_cell
+        heard: dict[tuple[int, Place], tuple[int, Record]] = {}
+        for hearer, sender, place, record in told:  # of equal records the lowest sender's counts
+            best = heard.get((hearer, place))
+            if best is None or union({place: best[1]}, {place: record}) != {place: best[1]}:
+                heard[hearer, place] = sender, record
+        for (hearer, place), (sender, record) in heard.items():
+            alone = {place: self.maps[hearer][place]} if place in self.maps[hearer] else {}
+            if union(alone, {place: record}) != alone:
+                self.maps[hearer][place] = record
+                if self.said[hearer].get(place) != self._content(record):
+                    self.said[hearer][place] = self._content(record)
+                    self.changed[hearer][place] = self.steps + 1
+                    self.heard_from[hearer][place] = sender
+
+    def _content(self, record: Record) -> Any:
+        """What a map says of a cell; without decay the step of a cleaning is no part of it."""
+        if self.settings.decay_steps is not None:
+            return record
+        return record.blocked, record.cleaned is not None
 
 
 # --------------------------------------------------------------------------- nearest_unknown

@@ -50,6 +50,9 @@ def check_fit(config: DictConfig) -> None:
         raise BadInput(
             f"agent.mask_walls=true: a mask where there are no walls, {env}; valid: false"
         )
+    if constant(targets["comm"], "exchanges") and config.env.memory != "private":
+        comm = f"comm={level_of(targets['comm'])} exchanges parts of private maps"
+        raise BadInput(f"env.memory={config.env.memory}: {comm}; valid: private")
     if config.comm.get("places", False) and not takes(targets["env"], "houses"):
         env = f"env={level_of(targets['env'])} has no positions"
         raise BadInput(f"comm.places=true: {env}; valid: false")

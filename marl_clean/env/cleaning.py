@@ -31,6 +31,7 @@ from marl_clean.settings import (
 from marl_clean.world import step
 from marl_clean.world.dynamics import MOVES, advance_
 from marl_clean.world.episode import begin
+from marl_clean.world.exchange import Exchange
 from marl_clean.world.furniture import move_furniture_
 from marl_clean.world.noise import unnoticed_bumps
 from marl_clean.world.random import Purpose, random_bits, seed_tensor, words_of_robots
@@ -98,6 +99,8 @@ class CleaningEnv(Compiling):
             TorchRL takes this argument from every env and calls `compile()`.
         house_order: whether episodes draw their house, or env i always has house i.
         contact: returns which robots are in contact, for private and merged maps: a topology's.
+        exchange: what robots in contact tell each other of their private maps in a step; None:
+            nothing.
         first_env: index of the first world: env i of 64 equals a single env with `first_env=i`.
         seed: the seed of everything drawn.
         device: where the tensors live.
@@ -121,6 +124,7 @@ class CleaningEnv(Compiling):
         compile: bool = False,
         house_order: HouseOrder = HouseOrder.RANDOM,
         contact: Contact | None = None,
+        exchange: Exchange | None = None,
         first_env: int = 0,
         seed: int = 0,
         device: torch.device | str = "cpu",
@@ -129,6 +133,10 @@ class CleaningEnv(Compiling):
         if rules.memory is not Memory.SHARED and contact is None:
             raise BadInput(
                 f"env.memory={rules.memory}: needs contact=, a topology's contact function"
+            )
+        if exchange is not None and rules.memory is not Memory.PRIVATE:
+            raise BadInput(
+                f"env.memory={rules.memory}: there is nothing to exchange; comm=delta needs private"
             )
         if furniture_moves_before_start and rules.knowledge is not Knowledge.STALE:
             raise BadInput(
@@ -152,6 +160,7 @@ class CleaningEnv(Compiling):
             num_open=len(houses),
             furniture=FurnitureMoves(furniture_moves_per_episode, furniture_moves_before_start),
             contact=contact,
+            exchange=exchange,
         )
         self._set_seed(seed)
         self.state = begin(self.setup, torch.zeros_like(self.env_index))

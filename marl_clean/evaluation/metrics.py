@@ -62,6 +62,8 @@ class Recorder:
         self.steps = full(0)
         self.counts = {name: full(0) for name in COUNTED}
         self.spills = None if state.spilt is None else SpillDelay(state)
+        if state.exchanged_bits is not None:  # before the first step
+            self.counts["bits"] += state.exchanged_bits.sum(1)
         self.total_reward = full(0.0, dtype=torch.float64)
         self.reached = {percent: full(NEVER) for percent in PERCENTS}
         self.certified_at = full(NEVER)
@@ -188,7 +190,8 @@ def step_counts(state: State, step: TensorDictBase) -> dict[str, Int[Tensor, " e
     An edge is a pair in contact when the actions were chosen; a message is what one robot sends
     along one of its edges in one round, so a step has two messages an edge and round, fewer where
     a robot chooses or has to be silent, and none without communication. A round counts where any
-    robot sent. The gate's rate is the share of contacts over which a message was sent in the first
+    robot sent. What robots tell each other of their maps as they meet after the step is a round of
+    its own. The gate's rate is the share of contacts over which a message was sent in the first
     round, for policies that communicate.
     """
     adjacency = step[ADJACENCY]
@@ -200,14 +203,17 @@ def step_counts(state: State, step: TensorDictBase) -> dict[str, Int[Tensor, " e
         reached = torch.where(cost > 0, degree, 0).unsqueeze(-1)
     reached = reached.round().to(torch.int64).sum(1)  # over the senders
     sends = bits is not None and reached.shape[-1] > 0
+    told = told_bits = torch.zeros_like(cost[:, 0])
+    if state.exchanged_bits is not None:
+        told, told_bits = step["next"][ADJACENCY].sum((1, 2)), state.exchanged_bits.sum(1)
     return {
         "bumps": state.bumped.sum(1),
         "collisions": state.collided.sum(1),
         "contact": adjacency.flatten(1).any(1).to(torch.int64),
-        "messages": reached.sum(1),
+        "messages": reached.sum(1) + told,
         "edges": degree.sum(1) // 2,
-        "bits": cost.sum(1),
-        "rounds": (reached > 0).sum(1),
+        "bits": cost.sum(1) + told_bits,
+        "rounds": (reached > 0).sum(1) + (told > 0),
         "spoken": reached[:, 0] if sends else torch.zeros_like(degree[:, 0]),
         "speakable": degree.sum(1) if sends else torch.zeros_like(degree[:, 0]),
     }

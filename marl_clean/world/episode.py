@@ -6,6 +6,7 @@ from torch import Tensor
 
 from marl_clean.settings import LARGEST_SIDE, HouseOrder, Knowledge, Memory, Sensor
 from marl_clean.world.dynamics import touch_
+from marl_clean.world.exchange import begin_exchange_
 from marl_clean.world.furniture import inside_house, shift_piece
 from marl_clean.world.random import Purpose, random_below, random_bits
 from marl_clean.world.rules import Rules
@@ -68,6 +69,8 @@ def begin(setup: Setup, episode: Int[Tensor, " env"]) -> State:
     if rules.sensor is Sensor.TOUCH4:
         touch_(state, rules)
     _clean_starts_(state, rules)
+    if setup.exchange is not None:
+        begin_exchange_(state)
     return state
 
 

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from marl_clean.settings import HouseOrder
+from marl_clean.world.exchange import Exchange
 from marl_clean.world.random import Seed
 from marl_clean.world.rules import Rules
 from marl_clean.world.state import State
@@ -47,6 +48,7 @@ class Setup(NamedTuple):
     num_open: int = 1  # new episodes draw their house among the first so many
     furniture: FurnitureMoves = FurnitureMoves()
     contact: Contact | None = None
+    exchange: Exchange | None = None  # of private maps between robots in contact
 
     def of_rows(self, rows: Int[Tensor, " row"]) -> "Setup":
         """Return the setup of the worlds `rows` alone."""

@@ -87,8 +87,8 @@ def _is_touched(record: Tensor) -> Tensor:
 
 def write_records_(
     record: Float[Tensor, "env map height width"],
-    index: Int[Tensor, "row entry"],
-    value: Float[Tensor, "row entry"],
+    index: Int[Tensor, "*entry"],
+    value: Float[Tensor, "*entry"],
 ) -> None:
     """Write records in place; the one place where a map changes during an episode.
 
@@ -105,16 +105,16 @@ def merge_maps(
     Pairwise, from the maps as they were before; the record of the later step wins, of equals
     blocked wins. Costs n^2 times the house, as `memory=merged` may.
     """
-    merged, merged_rank = record, _recency(record)
+    merged, merged_rank = record, recency(record)
     for other in range(record.shape[1]):
         offered = record[:, other, None]
-        rank = torch.where(contact[:, :, other, None, None], _recency(offered), 0.0)
+        rank = torch.where(contact[:, :, other, None, None], recency(offered), 0.0)
         merged = torch.where(rank > merged_rank, offered, merged)
         merged_rank = torch.maximum(merged_rank, rank)
     return merged
 
 
-def _recency(record: Tensor) -> Tensor:
+def recency(record: Tensor) -> Tensor:
     """Order records: the later step first, and at the same step blocked before available."""
     return record.abs() * 4 + (record < 0)
 
@@ -123,4 +123,4 @@ def union_of_maps(
     record: Float[Tensor, "env map height width"],
 ) -> Float[Tensor, "env height width"]:
     """Return what the robots know between them; the measures are of this map."""
-    return record.gather(1, _recency(record).argmax(1, keepdim=True))[:, 0]
+    return record.gather(1, recency(record).argmax(1, keepdim=True))[:, 0]

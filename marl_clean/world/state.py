@@ -44,6 +44,13 @@ class State:
     num_spilt: Int[Tensor, " env"] | None = None  # cells, each as often as it was spilt
     num_open_spilt: Int[Tensor, " env"] | None = None  # cells of `spilt`
 
+    # None without an exchange of map cells: an episode then holds and saves nothing of it.
+    said: Float[Tensor, "env map height width"] | None = None  # what each map says, as compared
+    changed_at: Int[Tensor, "env map height width"] | None = None  # int32: the step it last changed
+    heard_from: Int[Tensor, "env map height width"] | None = None  # int8: a robot, -1 none
+    told_until: Int[Tensor, "env agent agent"] | None = None  # [i, j]: how far j has told i
+    exchanged_bits: Int[Tensor, "env agent"] | None = None  # that each robot sent last
+
     @property
     def n_agents(self) -> int:
         return self.position.shape[1]
@@ -71,7 +78,16 @@ class State:
                 setattr(self, name, tensor.index_copy(0, rows, new))
 
 
-MATRICES = ("blocked", "piece", "record", "visited", "spilt")
+MATRICES = (
+    "blocked",
+    "piece",
+    "record",
+    "visited",
+    "spilt",
+    "said",
+    "changed_at",
+    "heard_from",
+)
 
 
 def cell_index(position: Tensor, margin: int, width: int) -> Tensor:

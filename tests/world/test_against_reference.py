@@ -1,5 +1,7 @@
 """The tensor world equals the plain one, step for step, whatever the reading."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from hypothesis import given
@@ -12,7 +14,7 @@ from marl_clean.settings import Knowledge, Memory, Sensor
 from marl_clean.world.sensing import crossed_cells
 from tests.reference import Settings, World
 from tests.world.play import env_of, start
-from tests.world.strategies import Case, cases
+from tests.world.strategies import Case, cases, settings
 
 EXAMPLES = 100
 
@@ -51,6 +53,8 @@ def assert_same_outcome(tensordict, env, index: int, world: World, outcome) -> N
         torch.testing.assert_close(tensordict[key][index, :, 0], expected, atol=1e-5, rtol=0)
     assert bool(tensordict[keys.TERMINATED][index]) == outcome.terminated
     assert bool(tensordict[keys.TRUNCATED][index]) == outcome.truncated
+    if world.settings.exchange_cells is not None:
+        assert state.exchanged_bits[index].tolist() == world.exchanged_bits
     assert (int(state.num_visited[index]), int(state.num_free[index])) == world.coverage()
     if world.settings.spills:
         places = {
@@ -113,6 +117,22 @@ def test_several_worlds_together_equal_each_alone(data: st.DataObject) -> None:
         )
     )
     assert_same_play([first, *others], whole_map=True)
+
+
+exchanging = st.builds(
+    replace,
+    settings(),
+    memory=st.just(Memory.PRIVATE),
+    knowledge=st.sampled_from([Knowledge.UNKNOWN, Knowledge.MEMORISED]),
+    exchange_cells=st.sampled_from([1, 2, 3, 8, 200]),
+)
+
+
+@pytest.mark.slow
+@given(case=cases(settings=exchanging), whole_map=st.booleans())
+@hypothesis_settings(max_examples=EXAMPLES, deadline=None)
+def test_maps_exchanged_a_few_cells_a_step_are_the_references(case: Case, whole_map: bool) -> None:
+    assert_same_play([case], whole_map)
 
 
 def test_what_is_touched_at_step_0_is_newer_than_what_was_memorised() -> None:

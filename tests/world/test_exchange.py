@@ -1,0 +1,81 @@
+"""What robots tell each other of their maps; test_against_reference compares each step."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from marl_clean import keys, make_env
+from marl_clean.config.compose import compose_config
+from marl_clean.config.fitting import check_fit
+from marl_clean.errors import BadInput
+from marl_clean.world.shared_map import is_known_blocked, is_unknown
+
+HOUSES = ["house.rows=[5,9]", "house.cols=[5,9]", "train_houses=6", "topology.radius_cells=4"]
+PRIVATE = ["env.memory=private", "topology=radius", *HOUSES]
+
+
+def records_of(steps: int, *settings: str, n_agents: int = 3) -> torch.Tensor:
+    env = make_env([*settings, f"env.n_agents={n_agents}", "env.num_envs=16", "seed=3"])
+    draw = torch.Generator().manual_seed(0)
+    td, history = env.reset(), []
+    for _ in range(steps):
+        td[keys.ACTION] = torch.randint(4, (16, n_agents), generator=draw)
+        td = env.step_and_maybe_reset(td)[1]
+        history.append(env.base_env.state.record.clone())
+    return torch.stack(history)
+
+
+@pytest.mark.parametrize("n_agents", [2, 3, 5])
+def test_all_cells_at_once_unite_the_maps(n_agents: int) -> None:
+    told = records_of(80, *PRIVATE, "comm=delta", "comm.cells=10000", n_agents=n_agents)
+    merged = ["env.memory=merged", "topology=radius", *HOUSES]
+    united = records_of(80, *merged, n_agents=n_agents)
+    assert torch.equal(told, united)
+    assert not torch.equal(told, records_of(80, *PRIVATE, n_agents=n_agents))
+
+
+def test_without_decay_what_is_known_is_the_same_whenever_it_was_cleaned() -> None:
+    lasting = "env.decay_steps=null"
+    told = records_of(80, *PRIVATE, "comm=delta", "comm.cells=10000", lasting)
+    united = records_of(80, "env.memory=merged", "topology=radius", *HOUSES, lasting)
+    assert torch.equal(is_unknown(told), is_unknown(united))
+    assert torch.equal(is_known_blocked(told), is_known_blocked(united))
+
+
+@given(cells=st.sampled_from([1, 2, 5]))
+@hypothesis_settings(max_examples=3, deadline=None)
+def test_no_more_cells_than_allowed_are_learnt_of_one_other(cells: int) -> None:
+    env = make_env([*PRIVATE, "comm=delta", f"comm.cells={cells}", "env.num_envs=16"])
+    draw, td, most = torch.Generator().manual_seed(1), env.reset(), 0
+    for _ in range(60):
+        before = (~is_unknown(env.base_env.state.record)).sum((2, 3))
+        td[keys.ACTION] = torch.randint(4, (16, 2), generator=draw)
+        td = env.step(td)["next"]
+        after = (~is_unknown(env.base_env.state.record)).sum((2, 3))
+        most = max(most, int((after - before).max()))
+    assert 1 < most <= cells + 1  # a robot enters or bumps one cell a step itself
+
+
+def test_bits_are_those_of_the_cells_and_of_their_number() -> None:
+    settings = [*PRIVATE, "house=open", "house.rows=[4,4]", "house.cols=[4,4]", "topology=full"]
+    settings = [s for s in settings if "radius" not in s]
+    env = make_env([*settings, "comm=delta", "comm.cells=3", "env.num_envs=8", "env.max_steps=60"])
+    env.reset()
+    # Each tells its start: 2 bits for 0 to 3 cells; a place among 6 x 6 takes 6, a kind 2, and a
+    # step of 60 takes 6.
+    assert env.base_env.state.exchanged_bits.tolist() == [[2 + 6 + 2 + 6] * 2] * 8
+
+
+def test_bad_input_is_one_line() -> None:
+    with pytest.raises(BadInput, match=r"^env.memory=shared: comm=delta .*; valid: private$"):
+        compose_fit(["comm=delta"])
+    with pytest.raises(BadInput, match=r"^channel=lossy: does not fit comm=delta; valid: perfect$"):
+        compose_fit([*PRIVATE, "comm=delta", "channel=lossy"])
+    with pytest.raises(BadInput, match=r"^comm.cells"):
+        compose_fit([*PRIVATE, "comm=delta", "comm.cells=0"])
+
+
+def compose_fit(settings: list[str]) -> None:
+    check_fit(compose_config(settings))
