@@ -15,7 +15,7 @@ from marl_clean.env.viewer import FRESH
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.rollouts import first_frame, rollout_episodes
 from marl_clean.report.episode import first_held_out, scenes
-from marl_clean.report.recorded import AVAILABLE, LEVELS, read_recording
+from marl_clean.report.recorded import AVAILABLE, LEVELS, SPILT, read_recording
 from marl_clean.report.recording import make_recording, record
 
 pytestmark = pytest.mark.slow  # episodes are played
@@ -42,7 +42,12 @@ def played(changes: list[list[int]], first: str, steps: int) -> list[list[int]]:
     return result
 
 
-@pytest.mark.parametrize("settings", [FURNISHED, ["env.max_steps=30", "env.memory=private"]])
+SPILLING = ["env.max_steps=30", "env.spills.per_episode=5", "env.spills.noticed_within=0"]
+
+
+@pytest.mark.parametrize(
+    "settings", [FURNISHED, ["env.max_steps=30", "env.memory=private"], SPILLING]
+)
 def test_every_step_is_what_a_viewer_is_shown(settings: list[str]) -> None:
     cfg = compose_config([*SMALL, *settings])
     recording = record(first_held_out(cfg), lambda env: build.make_planner(cfg, env))
@@ -60,6 +65,8 @@ def test_every_step_is_what_a_viewer_is_shown(settings: list[str]) -> None:
         furniture, cleaned = scene.furniture.flatten(), scene.cleaned.flatten()
         for cell, free in enumerate(scene.free.flatten().tolist()):
             wanted = 2 + int(cleaned[cell]) if free else int(furniture[cell] > 0)
+            if scene.spilt is not None and scene.spilt.flatten()[cell]:
+                wanted = SPILT
             assert house[step][cell] == wanted
         places = list(zip(*[iter(recording["positions"][step])] * 2, strict=True))
         assert places == list(scene.positions)
@@ -74,6 +81,7 @@ def test_every_step_is_what_a_viewer_is_shown(settings: list[str]) -> None:
             known = [any(held[step][cell] for held in maps) for cell in range(7 * 9)]
             assert known == (scene.values.flatten() != np.float32(-0.2)).tolist()
     assert any(recording["contacts"]) and house[0] != house[-1]
+    assert any(SPILT in codes for codes in house) == (settings is SPILLING)
 
 
 def check_code(code: int, value: float) -> None:
