@@ -17,6 +17,7 @@ from marl_clean import keys
 from marl_clean.build import make_comm
 from marl_clean.channel.base import Channel
 from marl_clean.config.class_source import takes
+from marl_clean.config.levels import read_level
 from marl_clean.config.schema import instantiate
 from marl_clean.learning.networks import Decision, Entries, QNetwork
 from marl_clean.observation.crop import Crop
@@ -55,7 +56,7 @@ def main() -> None:
 def check(level: str, changes: dict, channels: dict[str, dict], memory: str, backend: str) -> None:
     section = OmegaConf.merge(OmegaConf.load(CONF / "encoder" / "cnn.yaml"), {"memory": memory})
     encoder = instantiate(section, observation_shape=torch.Size([1, 15, 15]), spread=Crop.spread)
-    section = OmegaConf.merge(OmegaConf.load(CONF / "comm" / f"{level}.yaml"), changes)
+    section = OmegaConf.create({**read_level("comm", level), **changes})
     comm = make_comm(section, encoder.out_features, torch.Size([1, 15, 15]))
     dims = tuple(comm.message_dims)
     stack = {name: make_channel(name, dims, some) for name, some in channels.items()}
@@ -92,6 +93,8 @@ def entries(network: QNetwork) -> Entries:
     live = torch.tensor([[[0, 1, 0], [1, 0, 0], [0, 0, 0]]] * 2, dtype=torch.bool)
     rank = torch.tensor([[[0, 1, 2], [1, 0, 2], [2, 1, 0]]] * 2)
     seen = {keys.OBSERVATION: observation, keys.ADJACENCY: live, keys.DISTANCE_RANK: rank}
+    if network.comm.places:
+        seen[keys.OFFSET] = torch.randint(-5, 6, (2, N_AGENTS, N_AGENTS, 2))
     if network.draws:
         seen[keys.CHANNEL_SEED] = torch.randint(2**32, (2, N_AGENTS))
     specs = network.state_specs(N_AGENTS)

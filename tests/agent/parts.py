@@ -68,9 +68,7 @@ def make_encoder(side: int = SIDE, **changes) -> Cnn:
 
 def make_comm(level: str, encoder: Cnn, side: int = SIDE) -> Comm:
     torch.manual_seed(1)
-    section = OmegaConf.merge(
-        OmegaConf.load(levels.conf_folder() / "comm" / f"{level}.yaml"), SMALL.get(level, {})
-    )
+    section = OmegaConf.create({**levels.read_level("comm", level), **SMALL.get(level, {})})
     return build.make_comm(section, encoder.out_features, torch.Size([1, side, side]))
 
 

@@ -21,7 +21,7 @@ from marl_clean.testing import ContractBroken, check_agent
 from tests.agent.parts import IQL, LEARNERS, STATE_SHAPE, make_learner, transitions
 from tests.families import family
 
-SCHEMES = sorted(path.stem for path in (levels.conf_folder() / "comm").glob("*.yaml"))
+SCHEMES = levels.rooms()["comm"]
 
 
 def fitting() -> list[tuple[str, str]]:
