@@ -27,6 +27,13 @@ class Knowledge(StrEnum):
     STALE = "stale"
 
 
+class Starts(StrEnum):
+    """Where robots start that the house gives no place: anywhere, or next to each other."""
+
+    ANYWHERE = "anywhere"
+    TOGETHER = "together"
+
+
 class Sensor(StrEnum):
     """How robots detect walls: by bumping, or by touching the four neighbours."""
 

@@ -15,6 +15,7 @@ LATER: dict[str, Any] = {
     "encoder.norm": "none",
     "comm.places": False,
     "comm.join": "concat",
+    "env.starts": "anywhere",
     "env.wall_pays": 2.0,
     "env.shaping": 0.0,
     "env.spills": {"per_episode": 0, "noticed_within": None, "size": 2, "pays": 2.0},

@@ -4,12 +4,14 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from marl_clean.settings import LARGEST_SIDE, HouseOrder, Knowledge, Memory, Sensor
+from marl_clean.settings import LARGEST_SIDE, HouseOrder, Knowledge, Memory, Sensor, Starts
+from marl_clean.world.distance import walking_distance
 from marl_clean.world.dynamics import touch_
 from marl_clean.world.exchange import begin_exchange_
 from marl_clean.world.furniture import inside_house, shift_piece
 from marl_clean.world.random import Purpose, random_below, random_bits
 from marl_clean.world.rules import Rules
+from marl_clean.world.searches import UNREACHABLE
 from marl_clean.world.setup import HouseTensors, Setup
 from marl_clean.world.shared_map import MEMORISED_BLOCKED, MEMORISED_FREE, UNKNOWN_RECORD
 from marl_clean.world.spills import draw_spill_steps
@@ -90,7 +92,8 @@ def draw_starts(
     """Place the robots on distinct free cells: where the house says, else drawn uniformly.
 
     The n free cells with the highest random words. A word is drawn for the cell's place in the
-    house and ends with it: padding has no part in it, and no two are equal.
+    house and ends with it: padding has no part in it, and no two are equal. Together, robot 0 is
+    placed so, and the others where the walk to it is shortest, of equals by their words.
     """
     houses, rules = setup.houses, setup.rules
     n_agents = houses.starts.shape[1]
@@ -109,9 +112,38 @@ def draw_starts(
     words = (setup.env_index[:, None], episode[:, None], Purpose.START, label)
     word = random_bits(setup.seed, *words)
     key = torch.where(usable, word * LARGEST_SIDE**2 + label, -1)
-    best = key.topk(n_agents, dim=1).values % LARGEST_SIDE**2
+    if rules.starts is Starts.TOGETHER:
+        first = torch.where(is_planned[:, :1], occupied[:, :1], key.amax(1, True) % LARGEST_SIDE**2)
+        nearest = _nearest(key, label, first, blocked, rules.margin)
+        best = nearest.gather(1, (~is_planned).cumsum(1).sub(1).clamp(min=0))
+    else:
+        best = key.topk(n_agents, dim=1).values % LARGEST_SIDE**2
     drawn = torch.stack([best // LARGEST_SIDE, best % LARGEST_SIDE], -1)
     return torch.where(is_planned[..., None], plan_starts, drawn)
+
+
+def _nearest(
+    key: Int[Tensor, "env cell"],
+    label: Int[Tensor, "env cell"],
+    first: Int[Tensor, "env 1"],
+    blocked: Bool[Tensor, "env height width"],
+    margin: int,
+) -> Int[Tensor, "env cell"]:
+    """Return the labels by their walk from the cell labelled `first`, the nearest first.
+
+    Of equally near ones those of larger keys come first, and keys of -1 are last.
+    """
+    width = blocked.shape[2]
+
+    def index(cell: Tensor) -> Tensor:
+        place = torch.stack([cell // LARGEST_SIDE, cell % LARGEST_SIDE], -1)
+        return cell_index(place, margin, width)
+
+    source = torch.zeros_like(blocked).flatten(1).scatter(1, index(first), True)
+    steps = walking_distance(~blocked, source.view_as(blocked)).flatten(1).gather(1, index(label))
+    order = key.argsort(dim=1, descending=True)
+    walk = torch.where(key < 0, UNREACHABLE, steps).gather(1, order)
+    return label.gather(1, order.gather(1, walk.argsort(dim=1, stable=True)))
 
 
 def draw_furniture_moves(

@@ -18,6 +18,7 @@ from marl_clean.settings import (
     Probability,
     Sensor,
     Spills,
+    Starts,
     UncleanedAtMost,
     UnknownPaysAs,
     WallPays,
@@ -44,6 +45,8 @@ class Rules:
     Attributes:
         memory: whose map a robot reads and writes: shared, private or merged.
         knowledge: what the map holds at step 0: unknown, memorised or stale.
+        starts: where robots start that the house gives no place: on drawn cells anywhere, or
+            together, one on a drawn cell and the others on the cells nearest to it on foot.
         sensor: how walls become known: bump, or touch4 (the four neighbours of every robot are
             known).
         decay_steps: C, the steps after which a cell counts as dirty again; None: what is clean
@@ -73,6 +76,7 @@ class Rules:
 
     memory: Memory = Memory.SHARED
     knowledge: Knowledge = Knowledge.UNKNOWN
+    starts: Starts = Starts.ANYWHERE
     sensor: Sensor = Sensor.BUMP
     decay_steps: PositiveInt | None = 200
     decay: Decay = Decay.FORMULA
