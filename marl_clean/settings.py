@@ -208,8 +208,7 @@ def _sha256(value: str) -> str:
     return value
 
 
-# Nothing else is ever imported: a config may come from an untrusted source.
-Task = Annotated[str, AfterValidator(_task)]
+Task = Annotated[str, AfterValidator(_task)]  # nothing else is imported: configs may be untrusted
 Options = dict[str, int | float | bool]
 Sha256 = Annotated[str, AfterValidator(_sha256)]
 FolderName = Annotated[str, AfterValidator(_folder_name)]
@@ -233,6 +232,14 @@ class Spills:
     noticed_within: NonNegativeInt | None = None
     size: SpillSize = 2
     pays: NonNegativeFloat = 2.0
+
+
+@dataclass(frozen=True)
+class Collectors:
+    """The config's section `trainer.collectors`: where frames are collected, in how many parts."""
+
+    backend: Literal["none", "process", "ray"] = "none"
+    num: PositiveInt = 1
 
 
 class LaterEvaluation(TypedDict, total=False):

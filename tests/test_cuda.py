@@ -111,7 +111,7 @@ def test_a_step_waits_for_what_is_named_alone(tmp_path: Path) -> None:
         warnings.simplefilter("always")
         torch.cuda.set_sync_debug_mode("warn")
         try:
-            next(loop.blocks)
+            next(loop.collectors.blocks)
         finally:
             torch.cuda.set_sync_debug_mode("default")
     waits = Counter(
@@ -162,7 +162,7 @@ def test_nothing_else_is_read_from_a_step(
     take_the_path_of_a_gpu(monkeypatch)
     loop = loop_on("cpu", tmp_path, settings)
     with Reads() as reads:
-        block = next(loop.blocks)
+        block = next(loop.collectors.blocks)
     assert block["next", keys.DONE].any()
     assert set(reads.by_file) == WAITS and reads.by_file["transformed.py"] == STEPS
 

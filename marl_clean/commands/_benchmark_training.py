@@ -25,6 +25,7 @@ from marl_clean.evaluation.evaluator import validate
 from marl_clean.evaluation.table import output
 from marl_clean.observation.base import Observation
 from marl_clean.storage.checkpoint import Checkpoints
+from marl_clean.trainer._share import share_maker
 from marl_clean.trainer.off_policy import OffPolicyLoop
 
 PRESETS = {
@@ -70,7 +71,14 @@ class Session:
         env = build.make_env(self.cfg)
         self.agent = build.make_agent(self.cfg, env)
         env, trainer = build.ready_for(self.agent, env), instantiate(self.cfg.trainer)
-        self.loop = trainer.begin(env, self.agent, lambda policy: {}, [], Checkpoints(folder))
+        self.loop = trainer.begin(
+            env,
+            self.agent,
+            lambda policy: {},
+            [],
+            Checkpoints(folder),
+            share_maker(self.cfg),
+        )
         self.device, self.robots = env.device, env.base_env.n_agents
         self.elapsed = 0.0
         self.seconds = dict.fromkeys(("observation", "step", "network", "learning"), 0.0)

@@ -36,6 +36,7 @@ from marl_clean.report.replay import make_replay
 from marl_clean.storage import files, manifest
 from marl_clean.storage.lock import locked
 from marl_clean.trainer._outcome import Outcome
+from marl_clean.trainer._share import share_maker
 
 GIF = "replay.gif"
 log = logging.getLogger(__name__)
@@ -123,6 +124,7 @@ def train(
         loggers,
         folder,
         start_is_candidate=cfg.checkpoint is not None,
+        make_share=share_maker(cfg),
     )
 
 

@@ -23,6 +23,7 @@ LATER: dict[str, Any] = {
     "trainer.imitate": None,
     "trainer.imitate_frames_share": 0.1,
     "trainer.imitate_states": "planner",
+    "trainer.collectors": {"backend": "none", "num": 1},
     "agent.gamma_end": None,
     "agent.gamma_rises_with": "progress",
     "agent.entropy_coeff_end": None,

@@ -8,6 +8,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.data import TensorDictReplayBuffer
 from torchrl.envs import MultiStepTransform
+from torchrl.envs.utils import ExplorationType
 
 from marl_clean import keys
 
@@ -48,6 +49,16 @@ class Rows:
         while self.open.shape[1] >= self.frames:
             yield self.open[:, : self.frames].contiguous()
             self.open = self.open[:, self.frames :].contiguous()
+
+
+def collector_settings(frames_per_batch: int) -> dict[str, Any]:
+    """Return how every collector of a training collects."""
+    return {
+        "frames_per_batch": frames_per_batch,
+        "total_frames": -1,
+        "exploration_type": ExplorationType.RANDOM,
+        "auto_register_policy_transforms": False,
+    }
 
 
 class CarriedCollector(Collector):

@@ -36,9 +36,12 @@ class Curriculum:
 
     def open_houses(self, env: EnvBase) -> None:
         """Let new episodes take place in the houses of the stages so far."""
-        if self.stages > 1:
-            count = len(env.houses)
-            env.open_houses(-(-self.stage * count // self.stages))
+        if (count := self.num_open(env)) is not None:
+            env.open_houses(count)
+
+    def num_open(self, env: EnvBase) -> int | None:
+        """Return how many houses are open in this stage; None where all always are."""
+        return -(-self.stage * len(env.houses) // self.stages) if self.stages > 1 else None
 
     def note(
         self, env: EnvBase, done: Bool[Tensor, "env time"], finished: Bool[Tensor, "env time"]

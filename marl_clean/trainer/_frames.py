@@ -3,7 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
+from marl_clean.config.installed import is_installed
 from marl_clean.errors import BadInput
+from marl_clean.settings import Collectors
+
+IN_THE_TRAINER = Collectors()
 
 
 def check_frames(trainer: Mapping[str, Any], num_envs: int) -> None:
@@ -24,8 +28,27 @@ def check_frames(trainer: Mapping[str, Any], num_envs: int) -> None:
             f"trainer.frames_per_batch={block}: must be a multiple of"
             f" env.num_envs={num_envs}, such as {near}"
         )
+    check_collectors(trainer.get("collectors", IN_THE_TRAINER), num_envs)
     if block % trainer.get("minibatch_frames", block):
         raise BadInput(
             f"trainer.minibatch_frames={trainer['minibatch_frames']}: must divide"
             f" trainer.frames_per_batch={block}"
+        )
+
+
+def check_collectors(collectors: Collectors, num_envs: int) -> None:
+    """Raises BadInput where worlds cannot be shared out to the collectors, or Ray is missing."""
+    backend, num = collectors.backend, collectors.num
+    if backend == "none" and num != 1:
+        raise BadInput(
+            f"trainer.collectors.num={num}: needs trainer.collectors.backend=process or ray"
+        )
+    if num_envs % num:
+        valid = ", ".join(str(n) for n in range(1, num_envs + 1) if num_envs % n == 0)
+        raise BadInput(
+            f"trainer.collectors.num={num}: must divide env.num_envs={num_envs}; valid: {valid}"
+        )
+    if backend == "ray" and not is_installed("ray"):
+        raise BadInput(
+            "trainer.collectors.backend=ray: Ray is not installed; pip install 'marl-clean[ray]'"
         )

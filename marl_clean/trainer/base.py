@@ -12,22 +12,23 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType
 
 from marl_clean import keys
 from marl_clean.errors import BadInput
 from marl_clean.learning.agent import Agent
 from marl_clean.logger.base import CLOCK, Logger, Progress
-from marl_clean.settings import StatesOf
+from marl_clean.settings import Collectors, StatesOf
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer._annealing import Annealing
-from marl_clean.trainer._collecting import CarriedCollector
+from marl_clean.trainer._collectors import Collecting, InTheTrainer, Moment
 from marl_clean.trainer._curriculum import Curriculum
-from marl_clean.trainer._frames import check_frames
+from marl_clean.trainer._frames import IN_THE_TRAINER, check_frames
 from marl_clean.trainer._interrupts import Interrupts, Stopped
 from marl_clean.trainer._outcome import Outcome
 from marl_clean.trainer._random import random_state, restore_random
+from marl_clean.trainer._remote import make_remote
 from marl_clean.trainer._selection import Best
+from marl_clean.trainer._share import MakeShare
 from marl_clean.trainer._tally import Diverged, Tally
 from marl_clean.trainer._warm_start import WarmStart
 
@@ -55,6 +56,7 @@ class Trainer(ABC):
     imitate: str | None = None
     imitate_frames_share: float = 0.0
     imitate_states: StatesOf = "planner"
+    collectors: Collectors = IN_THE_TRAINER
 
     @abstractmethod
     def begin(
@@ -64,6 +66,7 @@ class Trainer(ABC):
         evaluate: Evaluate,
         loggers: list[Logger],
         checkpoints: Checkpoints,
+        make_share: MakeShare | None = None,
     ) -> "TrainingLoop":
         """Return the live parts of a training that has no frames yet."""
 
@@ -90,11 +93,12 @@ class Trainer(ABC):
         loggers: Iterable[Logger],
         folder: Path,
         start_is_candidate: bool = False,
+        make_share: MakeShare | None = None,
     ) -> Outcome:
         """Train `agent` in `env` until the budget is spent; resume what `folder` holds.
 
-        `evaluate` measures a policy on validation houses and names what it measured. With
-        `start_is_candidate` the weights that the agent came with may be the best.
+        `evaluate` measures a policy on validation houses, by name; with `start_is_candidate` the
+        weights that came with the agent may be best. `make_share`: what `collectors` make.
 
         Raises:
             BadInput: a setting that does not fit the env, damaged checkpoints, a full disk.
@@ -106,10 +110,10 @@ class Trainer(ABC):
         if final is not None:
             return Outcome(final.frames, final.notes["updates"], final.notes["best"], True)
         self.check(env, agent)
-        loop = self.begin(env, agent, evaluate, list(loggers), checkpoints)
-        loop.resume()
-        with Interrupts() as interrupts, Progress(self.total_frames, loop.frames) as progress:
-            try:
+        loop = self.begin(env, agent, evaluate, list(loggers), checkpoints, make_share)
+        try:
+            loop.resume()
+            with Interrupts() as interrupts, Progress(self.total_frames, loop.frames) as progress:
                 if start_is_candidate and not loop.frames:
                     with suppress(Stopped):  # the loop sees the signal
                         loop.measure(interrupts)
@@ -122,8 +126,8 @@ class Trainer(ABC):
                     if loop.frames >= self.total_frames:
                         return loop.finish()
                     loop.learn(loop.collect())
-            finally:
-                loop.close()
+        finally:
+            loop.close()
 
 
 class TrainingLoop(ABC):
@@ -137,23 +141,13 @@ class TrainingLoop(ABC):
         evaluate: Evaluate,
         loggers: list[Logger],
         checkpoints: Checkpoints,
+        make_share: MakeShare | None = None,
     ) -> None:
         self.settings, self.env, self.agent = settings, env, agent
         self.evaluate, self.loggers, self.checkpoints = evaluate, loggers, checkpoints
         self.curriculum = Curriculum(*settings.curriculum)
         self.curriculum.open_houses(env.base_env)
-        shown = settings.imitate_frames_share * settings.total_frames
-        self.warm_start = WarmStart(agent, env, settings.imitate, shown, settings.imitate_states)
-        self.collector = CarriedCollector(
-            env,
-            self.warm_start.policy,
-            frames_per_batch=settings.frames_per_batch,
-            total_frames=-1,
-            exploration_type=ExplorationType.RANDOM,
-            track_traj_ids=False,
-            auto_register_policy_transforms=False,
-        )
-        self.blocks = iter(self.collector)
+        self.collectors = self._collectors(make_share)
         self.annealing = Annealing()
         self.tally = Tally()
         self.frames = self.updates = 0
@@ -162,24 +156,37 @@ class TrainingLoop(ABC):
 
     def collect(self) -> TensorDictBase:
         """Collect a block of frames `[env, time]` with exploration, and update the tally."""
-        self.warm_start.at(self.frames)
-        block = next(self.blocks)
+        block = self.collectors.block(self._moment())
         self.frames += block.numel()
         later = block["next"]
         if not later[keys.REWARD].isfinite().all():
             raise Diverged(f"frame {self.frames}: a reward is NaN or infinite")
-        done = later[keys.DONE].squeeze(-1)
+        done, finished = (later[key].squeeze(-1) for key in (keys.DONE, keys.TERMINATED))
         self.tally.add("reward", later[keys.REWARD])
         for name, key in (("shaping", keys.INFO_SHAPING), ("spill", keys.INFO_SPILL)):
             if (term := later.get(key, None)) is not None:
                 self.tally.add(name, term)
         self.tally.add("episode_reward", later[keys.EPISODE_REWARD].mean((-2, -1)), where=done)
-        finished = later[keys.TERMINATED].squeeze(-1)
         self.tally.add("finished", finished.double(), where=done)
         self.curriculum.note(self.env.base_env, done, finished)
         self.annealing.note(done, finished)
         self.annealing.set(self.agent, self.env, self.frames / self.settings.total_frames)
         return block
+
+    def _collectors(self, make_share: MakeShare | None) -> Collecting:
+        """Return what collects; the agent learns from demonstrations where there are any."""
+        settings, env, agent = self.settings, self.env, self.agent
+        shown = settings.imitate_frames_share * settings.total_frames
+        imitate = settings.imitate, shown, settings.imitate_states
+        self.warm_start, size = WarmStart(agent, env, *imitate), settings.frames_per_batch
+        if settings.collectors.backend == "none":
+            return InTheTrainer(env, self.warm_start, size)
+        num_open = self.curriculum.num_open(env.base_env)
+        return make_remote(env, agent, make_share, imitate, num_open, settings.collectors, size)
+
+    def _moment(self) -> Moment:
+        total, num_open = self.settings.total_frames, self.curriculum.num_open(self.env.base_env)
+        return Moment(self.frames, total, self.annealing.share, num_open)
 
     @abstractmethod
     def learn(self, block: TensorDictBase) -> None:
@@ -206,7 +213,7 @@ class TrainingLoop(ABC):
             row |= self.tally.means() | {
                 "updates": self.updates,
                 **self.agent.measures(),
-                **self.env.base_env.progress(),
+                **self.collectors.progress(),
                 **self.curriculum.measures(),
                 f"{CLOCK}frames_per_second": progress.frames_per_second(self.frames),
             }
@@ -226,8 +233,7 @@ class TrainingLoop(ABC):
 
     def _weights(self) -> dict[str, Tensor]:
         """Return a copy of the network's weights. Raises Diverged where one is not finite."""
-        weights = self.agent.network.state_dict()
-        for name, weight in weights.items():
+        for name, weight in (weights := self.agent.network.state_dict()).items():
             if not weight.isfinite().all():
                 raise Diverged(f"update {self.updates}: weight {name} is NaN or infinite")
         return {name: weight.clone() for name, weight in weights.items()}
@@ -244,12 +250,10 @@ class TrainingLoop(ABC):
             "counters": {name: getattr(self, name) for name in COUNTERS},
             "best": self.best.record,
             "agent": self.agent.state_dict(),
-            "env": dict(self.env.base_env.state_dict()),
-            "carried": self.collector.state(),
+            **self.collectors.state(),
             **self.own_state(),
             "tally": self.tally.state(),
             "curriculum": self.curriculum.state(),
-            "warm_start": self.warm_start.state(),
             "annealing": {"share": self.annealing.share},
             "random": random_state(self.env.device),
         }
@@ -272,16 +276,13 @@ class TrainingLoop(ABC):
             setattr(self, name, value)
         self.best.record = state["best"]
         self.agent.load_state_dict(state["agent"])
-        self.env.base_env.load_state_dict(state["env"])
-        if self.env.base_env.resumes_exactly:
-            self.collector.restore(state["carried"].to(device))
-            self.warm_start.restore(state.get("warm_start", {}))
-        else:
+        self.collectors.restore(state)
+        if not self.env.base_env.resumes_exactly:
             log.warning("frame %d: resumes with new episodes; env cannot save its own", self.frames)
-            self.collector.begin_anew()
         self.restore_own(state)
         self.tally.restore(state["tally"])
         self.curriculum.restore(state["curriculum"])
+        self.curriculum.open_houses(self.env.base_env)
         self.annealing.share = state.get("annealing", {"share": 0.0})["share"]
         restore_random(state["random"], device)
 
@@ -293,7 +294,7 @@ class TrainingLoop(ABC):
         return Outcome(self.frames, self.updates, self.best.summary(), was_finished=False)
 
     def close(self) -> None:
-        """Let go of the collector, and put all rows on the disk."""
-        self.collector.shutdown(close_env=False)
+        """Let go of the collectors, and put all rows on the disk."""
+        self.collectors.shutdown()
         for logger in self.loggers:
             logger.close()

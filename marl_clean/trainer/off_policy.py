@@ -13,6 +13,7 @@ from marl_clean.learning.agent import Agent
 from marl_clean.logger.base import Logger
 from marl_clean.settings import (
     BufferFrames,
+    Collectors,
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
@@ -21,6 +22,8 @@ from marl_clean.settings import (
 )
 from marl_clean.storage.checkpoint import Checkpoints
 from marl_clean.trainer._collecting import Rows, Windows, replay_state, restore_replay
+from marl_clean.trainer._frames import IN_THE_TRAINER
+from marl_clean.trainer._share import MakeShare
 from marl_clean.trainer._tally import check_finite
 from marl_clean.trainer.base import Evaluate, Trainer, TrainingLoop
 
@@ -49,6 +52,7 @@ class OffPolicy(Trainer):
             the frames at the start; null: none.
         imitate_states: planner: those that it comes to. learner: it acts less and less, and is
             learnt from in the states that the learner comes to.
+        collectors: backend and number of the processes that collect.
     """
 
     def __init__(
@@ -69,6 +73,7 @@ class OffPolicy(Trainer):
         imitate: str | None = None,
         imitate_frames_share: Probability = 0.1,
         imitate_states: StatesOf = "planner",
+        collectors: Collectors = IN_THE_TRAINER,
         window_frames: PositiveInt = 8,
     ) -> None:
         self.total_frames = total_frames
@@ -85,6 +90,7 @@ class OffPolicy(Trainer):
         self.curriculum = curriculum_stages, curriculum_promote_at, curriculum_window_episodes
         self.imitate, self.imitate_frames_share = imitate, imitate_frames_share
         self.imitate_states = imitate_states
+        self.collectors = collectors
 
     def longest_row(self, env: EnvBase) -> tuple[str, int]:
         return "window_frames", self.window_frames
@@ -96,8 +102,9 @@ class OffPolicy(Trainer):
         evaluate: Evaluate,
         loggers: list[Logger],
         checkpoints: Checkpoints,
+        make_share: MakeShare | None = None,
     ) -> "OffPolicyLoop":
-        return OffPolicyLoop(self, env, agent, evaluate, loggers, checkpoints)
+        return OffPolicyLoop(self, env, agent, evaluate, loggers, checkpoints, make_share)
 
 
 class OffPolicyLoop(TrainingLoop):
@@ -113,8 +120,9 @@ class OffPolicyLoop(TrainingLoop):
         evaluate: Evaluate,
         loggers: list[Logger],
         checkpoints: Checkpoints,
+        make_share: MakeShare | None = None,
     ) -> None:
-        super().__init__(settings, env, agent, evaluate, loggers, checkpoints)
+        super().__init__(settings, env, agent, evaluate, loggers, checkpoints, make_share)
         self.windows = Windows(agent.n_steps, agent.gamma)
         self.rows = Rows(settings.window_frames) if agent.unrolls else None
         together = 1 if self.rows is None else settings.window_frames

@@ -9,8 +9,10 @@ from torchrl.envs import EnvBase
 
 from marl_clean.learning.agent import Agent
 from marl_clean.logger.base import Logger
-from marl_clean.settings import PositiveInt, Probability, StatesOf
+from marl_clean.settings import Collectors, PositiveInt, Probability, StatesOf
 from marl_clean.storage.checkpoint import Checkpoints
+from marl_clean.trainer._frames import IN_THE_TRAINER
+from marl_clean.trainer._share import MakeShare
 from marl_clean.trainer._tally import check_finite
 from marl_clean.trainer.base import Evaluate, Trainer, TrainingLoop
 
@@ -36,6 +38,7 @@ class OnPolicy(Trainer):
             the frames at the start; null: none.
         imitate_states: planner: those that it comes to. learner: it acts less and less, and is
             learnt from in the states that the learner comes to.
+        collectors: backend and number of the processes that collect.
     """
 
     def __init__(
@@ -54,6 +57,7 @@ class OnPolicy(Trainer):
         imitate: str | None = None,
         imitate_frames_share: Probability = 0.1,
         imitate_states: StatesOf = "planner",
+        collectors: Collectors = IN_THE_TRAINER,
     ) -> None:
         self.total_frames = total_frames
         self.frames_per_batch = frames_per_batch
@@ -66,6 +70,7 @@ class OnPolicy(Trainer):
         self.curriculum = curriculum_stages, curriculum_promote_at, curriculum_window_episodes
         self.imitate, self.imitate_frames_share = imitate, imitate_frames_share
         self.imitate_states = imitate_states
+        self.collectors = collectors
 
     def longest_row(self, env: EnvBase) -> tuple[str, int]:
         return "frames_per_batch", self.frames_per_batch // env.batch_size.numel()
@@ -77,8 +82,9 @@ class OnPolicy(Trainer):
         evaluate: Evaluate,
         loggers: list[Logger],
         checkpoints: Checkpoints,
+        make_share: MakeShare | None = None,
     ) -> "OnPolicyLoop":
-        return OnPolicyLoop(self, env, agent, evaluate, loggers, checkpoints)
+        return OnPolicyLoop(self, env, agent, evaluate, loggers, checkpoints, make_share)
 
 
 class OnPolicyLoop(TrainingLoop):
