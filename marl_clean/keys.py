@@ -43,6 +43,7 @@ BURST = (AGENTS, "burst")  # *B n n bool, [i, j]: the edge from j to i is in a b
 FROZEN = (AGENTS, "frozen")  # *B n number float32: first messages, while evaluation freezes them
 LATE = (AGENTS, "late")  # as inbox, while evaluation delays messages
 HIDDEN = (AGENTS, "hidden")  # *B n d float32: a recurrent encoder's memory
+COMM_HIDDEN = (AGENTS, "comm_hidden")  # *B n d float32: what a scheme carries to the next step
 CRITIC_HIDDEN = (AGENTS, "critic_hidden")  # *B n d float32: a critic's memory before a frame
 IS_INIT = "is_init"  # *B 1 bool: the first frame of an episode
 

@@ -24,7 +24,8 @@ class Later(Channel):
     """Hear in step t what was sent in step t - `steps`, over the edges that were live then.
 
     Until a message is old enough there is none. What is under way stands in the frame: for each
-    sender and age 1 ... steps its message, all rounds side by side, and which robots it reaches.
+    sender and age 1 ... steps its message, all rounds side by side, and which robots it reaches in
+    each round.
     """
 
     remembers = keys.OUTBOX
@@ -44,18 +45,26 @@ class Later(Channel):
     ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
         assert step.state is not None
         oldest = step.state[..., -1, :]
-        return oldest[..., self.parts[round_index]], oldest[..., self.width :].mT > 0
+        reaches = self.reaches(oldest, round_index)
+        return oldest[..., self.parts[round_index]], reaches.mT > 0
 
     def state_spec(self, n_agents: int, message_dims: Dims) -> TensorSpec:
-        return Unbounded(shape=(n_agents, self.steps, self.width + n_agents))
+        return Unbounded(shape=(n_agents, self.steps, self.width + len(self.parts) * n_agents))
 
     def state_after(
         self, step: Step, messages: Sequence[Tensor], edges: Sequence[Tensor]
     ) -> Float[Tensor, "*batch agent age number"]:
         assert step.state is not None
-        reaches = edges[0].mT.to(messages[0].dtype)
-        newest = torch.cat([*messages, reaches], dim=-1).unsqueeze(-2)
+        reaches = [of_round.mT.to(messages[0].dtype) for of_round in edges]
+        newest = torch.cat([*messages, *reaches], dim=-1).unsqueeze(-2)
         return torch.cat([newest, step.state[..., :-1, :]], dim=-2)
+
+    def reaches(
+        self, under_way: Float[Tensor, "*batch number"], round_index: int
+    ) -> Float[Tensor, "*batch receiver"]:
+        """Return which robots a round's message reaches, 1 or 0."""
+        by_round = under_way[..., self.width :].unflatten(-1, (len(self.parts), -1))
+        return by_round[..., round_index, :]
 
 
 @final
@@ -95,7 +104,10 @@ class Delayed(Later):
             return step.unless_silent(heard, heard + weight), edges
         assert step.state is not None
         fresh = torch.cat([message, edges.mT.to(message.dtype)], dim=-1).unsqueeze(-2)
-        part, reaches = step.state[..., self.parts[round_index]], step.state[..., self.width :]
+        part, reaches = (
+            step.state[..., self.parts[round_index]],
+            self.reaches(step.state, round_index),
+        )
         every_age = torch.cat([fresh, torch.cat([part, reaches], dim=-1)], dim=-2)
         age = self.ages(step)
         index = age[..., None, None].expand(*age.shape, 1, every_age.shape[-1])

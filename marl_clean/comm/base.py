@@ -1,9 +1,9 @@
 """What every communication scheme takes and gives."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from marl_clean.comm._join import Join
 from marl_clean.comm._receiving import attend, masked_softmax, nearest_live, sum_live
 from marl_clean.comm._senders import PLACE, Senders, place_of, with_places
+from marl_clean.comm._talk import Delivery, Direct, Scene, Talk
 
 __all__ = [
     "BITS_PER_FLOAT",
@@ -20,6 +21,7 @@ __all__ = [
     "Direct",
     "NoisyWhileLearning",
     "Hearing",
+    "Scene",
     "Senders",
     "Talk",
     "Width",
@@ -37,6 +39,10 @@ Width = int
 """Length of a feature vector; handed over by the network's builder, so never a config key."""
 
 BITS_PER_FLOAT = 32
+
+
+def _itself(feature: Tensor) -> Tensor:
+    return feature
 
 
 class NoisyWhileLearning(nn.Module):
@@ -68,81 +74,30 @@ class Hearing:
         return nn.Linear(PLACE, width, bias=False) if self.places else None
 
 
-class Delivery(ABC):
-    """One step's transport of all messages.
-
-    Attributes:
-        sent: `[*B, n, n]` bool, [i, j]: j sends to i, and pays for it, received or not.
-        bits_per_number: what a number costs over these channels; None: as the scheme makes it.
-    """
-
-    sent: Tensor
-    bits_per_number: int | None = None
-
-    @abstractmethod
-    def __call__(
-        self, message: Float[Tensor, "*batch agent message"], round_index: int
-    ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
-        """Send a round's messages; return those heard now, and over which live edges.
-
-        Edge [i, j]: robot i hears the message of robot j.
-        """
-
-
-class Direct(Delivery):
-    """Everything arrives at once, as it was sent, over every live edge."""
-
-    def __init__(self, adjacency: Bool[Tensor, "*batch agent other"]) -> None:
-        self.sent = adjacency
-
-    def __call__(
-        self, message: Float[Tensor, "*batch agent message"], round_index: int
-    ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
-        return message, self.sent
-
-
-class Talk(NamedTuple):
-    """The result of one step of communication.
-
-    Attributes:
-        feature: `[*B, n, out_features]`, what the robots know now.
-        message: `[*B, n, sum of message_dims]`, what each sent, all rounds side by side.
-        edges: `[*B, n, rounds]`, over how many edges each sent in each round.
-        bits: `[*B, n, 1]`, what that cost.
-        attention: `[*B, head, n, n]`, how much each robot attended to each in the last round; None
-            of schemes that do not attend.
-    """
-
-    feature: Tensor
-    message: Tensor
-    edges: Tensor
-    bits: Tensor
-    attention: Tensor | None = None
-
-
 class Comm(nn.Module, ABC):
     """Let robots talk over a graph: from features of each robot to features that know of others.
 
-        state = begin(h)
+        state = begin(h), or look(h, scene)
         each round: m_j = speak(state)_j,    state_i = listen(state, the m_j that reached i)_i
         h' = end(state), or joined with h by `joined`
 
     A scheme is what is sent and how receivers use it; how messages are changed before they arrive
-    is a matter of the channel. A robot sends its message to each robot it may talk to, whether or
-    not that robot makes use of it, and every round costs: edges x numbers in a message x bits of a
-    number.
+    is a matter of the channel. A robot sends its message to each robot it may talk to, or to those
+    among them that it chooses, whether or not they make use of it, and every round costs: edges x
+    numbers in a message x bits of a number.
     Results depend on live edges only, and not on how the robots are numbered. A dead edge is
     masked, so that not even NaN crosses it, in either direction of the arithmetic (`live_edges`).
 
     Attributes:
         message_dims: numbers in the message of each round; there are as many rounds as entries,
-            and what a robot knows crosses as many edges within one step.
+            and what a robot knows crosses at most as many edges within one step.
         bits_per_number: what one costs.
         dilutes: what is heard is divided by how many other robots there are, in reach or not.
         detach: a receiver's loss does not reach the sender's features.
         pull: weight of a loss that pulls attention towards that of the next frame.
         delay_steps: steps after which a message is heard, as part of the scheme.
         places: `listen` gets the senders' offsets, which robots in contact know of each other.
+        remembers: numbers that each robot carries to the next step.
         out_features: length of the features it gives.
         joined: how features and what is heard become these, other than by the scheme itself.
     """
@@ -155,6 +110,7 @@ class Comm(nn.Module, ABC):
     pull: float = 0.0
     delay_steps: int = 0
     places: bool = False
+    remembers: int = 0
 
     def __init__(self) -> None:
         super().__init__()
@@ -182,6 +138,16 @@ class Comm(nn.Module, ABC):
         """Whether robots may choose to be silent; then their message is all zeros."""
         return type(self).gate is not Comm.gate
 
+    @property
+    def chooses(self) -> bool:
+        """Whether a robot chooses to which of those that it may talk to it sends."""
+        return type(self).choose is not Comm.choose
+
+    @property
+    def hops(self) -> int:
+        """How many edges what a robot knows crosses within one step."""
+        return self.rounds
+
     def numbers(self, round_index: int) -> int:
         """Return how many numbers a message of round `round_index` is paid for."""
         return self.message_dims[round_index]
@@ -190,12 +156,20 @@ class Comm(nn.Module, ABC):
         """Return what the first round starts from: tensors `[*B, n, ...]`, one or several."""
         return feature
 
+    def look(self, feature: Float[Tensor, "*batch agent feature"], scene: Scene) -> Any:
+        """Return what `begin` does, of schemes that begin with more than features."""
+        return self.begin(feature)
+
     @abstractmethod
     def speak(self, state: Any, round_index: int) -> Float[Tensor, "*batch agent message"]:
         """Return what each robot sends in round `round_index`, the same to all that it talks to."""
 
     def gate(self, state: Any, round_index: int) -> Float[Tensor, "*batch agent 1"] | None:
         """Return 1 for each robot that speaks and 0 for the others; None: all do."""
+        return None
+
+    def choose(self, state: Any, round_index: int) -> Bool[Tensor, "*batch agent other"] | None:
+        """Return [i, j]: j sends to i in this round, if it may at all; None: all do."""
         return None
 
     @abstractmethod
@@ -216,6 +190,10 @@ class Comm(nn.Module, ABC):
         """Return the features that the last state comes to."""
         return state
 
+    def carry(self, state: Any) -> Float[Tensor, "*batch agent hidden"] | None:
+        """Return what each robot carries to the next step; None of schemes that carry nothing."""
+        return None
+
     def attention(self, state: Any) -> Float[Tensor, "*batch head agent other"] | None:
         """Return how much each robot attended to each in the last round, where it does."""
         return None
@@ -226,26 +204,36 @@ class Comm(nn.Module, ABC):
         adjacency: Bool[Tensor, "*batch agent other"],
         senders: Senders,
         delivery: Delivery | None = None,
+        hidden: Float[Tensor, "*batch agent hidden"] | None = None,
+        value: Callable[[Tensor], Tensor] = _itself,
     ) -> Talk:
         """Let the robots talk: round by round, over `delivery`, without one as if at no loss.
 
-        `senders` may hold the offsets of all pairs: those out of contact have no influence.
+        `senders` may hold the offsets of all pairs: those out of contact have no influence. Without
+        `hidden` nothing was carried here; without `value` features are taken for action values.
         """
         delivery = delivery or Direct(adjacency)
         price = min(self.bits_per_number, delivery.bits_per_number or self.bits_per_number)
-        state, sent = self.begin(feature), [feature[..., :0]]
+        if hidden is None:
+            hidden = feature.new_zeros(*feature.shape[:-1], self.remembers)
+        nobody_silent = torch.ones_like(feature[..., :1])
+        seen = self._audible(senders, adjacency, nobody_silent)
+        scene = Scene(adjacency, delivery.sent, seen, hidden, value)
+        state, sent = self.look(feature, scene), [feature[..., :0]]
         receivers = delivery.sent.sum(-2).unsqueeze(-1).to(feature.dtype)
         edges, bits = [receivers[..., :0]], torch.zeros_like(receivers)
         hears = torch.zeros_like(adjacency[..., 0])
         for round_index in range(self.rounds):
             message, gate = self.speak(state, round_index), self.gate(state, round_index)
-            reached = receivers
+            chosen, reached = self.choose(state, round_index), receivers
+            if chosen is not None:
+                reached = (delivery.sent & chosen).sum(-2).unsqueeze(-1).to(feature.dtype)
             if gate is not None:
-                message, reached = gate * message, gate.detach() * receivers
+                message, reached = gate * message, gate.detach() * reached
             sent.append(message)
             edges.append(reached)
             bits = bits + price * self.numbers(round_index) * reached
-            heard, live = delivery(message, round_index)
+            heard, live = delivery(message, round_index, chosen)
             hears = hears | live.any(-1)
             audible = self._audible(senders, adjacency & live, heard)
             state = self.listen(state, heard, live, audible, round_index)
@@ -253,7 +241,8 @@ class Comm(nn.Module, ABC):
         given = self.end(state)
         if self.joined is not None:
             given = self.joined(feature, given, hears)
-        return Talk(given, message, reached, bits, self.attention(state))
+        carried = self.carry(state)
+        return Talk(given, message, reached, bits, self.attention(state), carried)
 
     def _audible(self, senders: Senders, live: Tensor, heard: Tensor) -> Senders:
         """Return where those are who are heard now, where the scheme asks for it."""

@@ -2,23 +2,17 @@
 
 from typing import final
 
-import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from marl_clean.comm._gates import open_or_shut
 from marl_clean.comm._hidden_states import HiddenStates, State, all_others
 from marl_clean.comm.base import Hearing, NoisyWhileLearning, Width, outgoing
 from marl_clean.settings import LayerWidth, PositiveFloat, PositiveInt
 
 
 class Gate(NoisyWhileLearning):
-    """Decide between 0 and 1, and learn as if by their probability (straight-through Gumbel).
-
-        learning: g = 1 if l + z > 0 else 0, z logistic;    dg/dl = that of sigmoid((l + z) / t)
-        used:     g = 1 if l > 0 else 0
-
-    The difference of two Gumbel numbers is logistic. Source: arXiv 1611.01144, with two classes.
-    """
+    """Decide between 0 and 1 by a linear layer, see `open_or_shut`."""
 
     def __init__(self, width: int, temperature: float) -> None:
         super().__init__()
@@ -26,13 +20,7 @@ class Gate(NoisyWhileLearning):
         self.temperature = temperature
 
     def forward(self, hidden: Float[Tensor, "*batch hidden"]) -> Float[Tensor, "*batch 1"]:
-        logit = self.logit(hidden)
-        if not self.training:
-            return (logit > 0).to(logit.dtype)
-        uniform = torch.rand_like(logit).clamp(1e-6, 1 - 1e-6)
-        noisy = logit + uniform.log() - (1 - uniform).log()
-        soft = (noisy / self.temperature).sigmoid()
-        return soft + ((noisy > 0).to(logit.dtype) - soft).detach()
+        return open_or_shut(self.logit(hidden), self.temperature, self.training)
 
 
 @final

@@ -12,6 +12,7 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from marl_clean import build, keys
+from marl_clean.comm.base import Senders
 from marl_clean.config.compose import compose_config
 from marl_clean.config.levels import rooms
 from marl_clean.learning.agent import Agent
@@ -112,11 +113,12 @@ def growth_of_schemes() -> dict[str, dict[int, float]]:
         live = (~torch.eye(n_agents, dtype=torch.bool)).expand(WORLDS, -1, -1)
         robot = torch.arange(n_agents)
         rank = ((robot - robot[:, None]) % n_agents).expand(WORLDS, -1, -1)
+        senders = Senders(rank, torch.stack([rank, -rank], -1))
         samples: dict[str, list[float]] = {level: [] for level in schemes}
         with torch.no_grad():
             for _ in range(REPEATS + 1):
                 for level, comm in schemes.items():
-                    samples[level].append(milliseconds(partial(comm, feature, live, rank)))
+                    samples[level].append(milliseconds(partial(comm, feature, live, senders)))
         for level, times in samples.items():
             taken[level][n_agents] = statistics.median(times[1:])
     return taken

@@ -53,9 +53,12 @@ class Stacked(Delivery):
             self.bits_per_number = channel.bits_per_number or self.bits_per_number
 
     def __call__(
-        self, message: Float[Tensor, "*batch agent message"], round_index: int
+        self,
+        message: Float[Tensor, "*batch agent message"],
+        round_index: int,
+        chosen: Bool[Tensor, "*batch agent other"] | None = None,
     ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
-        edges = self.sent
+        edges = self.sent if chosen is None else self.sent & chosen
         for index, channel in enumerate(self.channels):
             self.messages[index].append(message)
             self.edges[index].append(edges)
@@ -86,6 +89,9 @@ class Repeated(Delivery):
         self.messages = message.split(list(message_dims), dim=-1)
 
     def __call__(
-        self, message: Float[Tensor, "*batch agent message"], round_index: int
+        self,
+        message: Float[Tensor, "*batch agent message"],
+        round_index: int,
+        chosen: Bool[Tensor, "*batch agent other"] | None = None,
     ) -> tuple[Float[Tensor, "*batch agent message"], Bool[Tensor, "*batch agent other"]]:
-        return self.delivery(self.messages[round_index], round_index)
+        return self.delivery(self.messages[round_index], round_index, chosen)

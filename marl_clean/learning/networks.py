@@ -129,19 +129,24 @@ class RobotsNetwork(nn.Module):
         """Find out what the channels need of a frame."""
         self.draws = any(channel.draws for channel in self.stack)
         memory = () if self.encoder.memory is None else (keys.HIDDEN,)
+        if self.comm.remembers:
+            memory = (*memory, keys.COMM_HIDDEN)
         behind = (type(channel).__name__ for channel in self.stack[len(self.channel) :])
         self.carries = (*memory, *state_keys(self.stack, [*self.channel, *behind]))
         drawn = (keys.CHANNEL_SEED,) if self.draws else ()
         mask = (keys.ACTION_MASK,) if self.mask_walls else ()
         graph = keys.GRAPH if self.comm.places else keys.GRAPH[:2]
         self.sees = (keys.OBSERVATION, *graph, *mask, *drawn, *self.carries)
-        self.history = max(len(memory), sum(channel.steps_late for channel in self.stack))
+        late = sum(channel.steps_late for channel in self.stack)
+        self.history = max(int(bool(memory)), late)
 
     def state_specs(self, n_agents: int) -> dict[NestedKey, TensorSpec]:
         """Return the spec of each key of `carries`, without batch."""
         specs = {}
         if self.encoder.memory is not None:
             specs[keys.HIDDEN] = Unbounded(shape=(n_agents, self.encoder.memory.hidden_size))
+        if self.comm.remembers:
+            specs[keys.COMM_HIDDEN] = Unbounded(shape=(n_agents, self.comm.remembers))
         dims = tuple(self.comm.message_dims)
         for channel in self.stack:
             if channel.remembers is not None:
@@ -190,11 +195,22 @@ class RobotsNetwork(nn.Module):
         if sent is not None:
             delivery = Repeated(stacked, sent, self.comm.message_dims[: self.comm.rounds])
         senders = Senders(distance_rank, seen[keys.OFFSET] if self.comm.places else None)
-        talk = self.comm(feature, adjacency, senders, delivery)
-        out = self.out(talk.feature)
-        if self.mask_walls:
-            out = masked(out, seen[keys.ACTION_MASK])
-        return Decision(out, talk, carried | stacked.states_after())
+        before = seen[keys.COMM_HIDDEN] if self.comm.remembers else None
+
+        def out(feature: Float[Tensor, "*batch joined"]) -> Float[Tensor, "*batch out"]:
+            """Return outputs of features, of each robot or of several variants of each."""
+            outputs = self.out(feature)
+            if not self.mask_walls:
+                return outputs
+            allowed = seen[keys.ACTION_MASK]
+            return masked(
+                outputs, allowed.unsqueeze(-2) if outputs.ndim > allowed.ndim else allowed
+            )
+
+        talk = self.comm(feature, adjacency, senders, delivery, before, out)
+        if talk.hidden is not None:
+            carried[keys.COMM_HIDDEN] = talk.hidden
+        return Decision(out(talk.feature), talk, carried | stacked.states_after())
 
     def unroll(
         self,

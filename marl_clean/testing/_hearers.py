@@ -5,6 +5,7 @@ from torch import Tensor
 
 from marl_clean.comm.base import Comm, Senders
 from marl_clean.testing._broken import require, require_close, require_equal
+from marl_clean.testing._choosers import Watched
 from marl_clean.testing._graphs import draw
 
 TALK = ("feature", "message", "edges", "bits")  # of `Talk`, in its order
@@ -25,12 +26,13 @@ def offsets_over_dead_edges_have_no_influence(comm: Comm) -> None:
 def a_sender_elsewhere_is_heard_elsewhere(comm: Comm) -> None:
     """Raise ContractBroken where `places` is True, and a hearer ignores where its sender is.
 
-    Robot 0 hears robot 1 and nobody else hears anybody, so that i and j are not the same.
+    Robot 0 hears robot 1 and nobody else hears anybody, so that i and j are not the same. Where
+    robots choose to whom they send, robot 1 hears robot 0 as well, for it may have to be asked.
     """
     if not comm.places or not comm.rounds:
         return
     feature, live, senders = draw(3, n_agents=3, share=0.0)
-    live[:, 0, 1] = True
+    live[:, 0, 1], live[:, 1, 0] = True, comm.chooses
     assert senders.offset is not None
     feature = 0.3 * feature + 0.5  # so that gates and relus are open where they can be
 
@@ -43,6 +45,8 @@ def a_sender_elsewhere_is_heard_elsewhere(comm: Comm) -> None:
         moved[:, 0, 1, axis] += 2
         changed = (heard(moved) != before).any(-1).any(0)
         require(changed[0], f"the {name} of its sender does not reach robot 0, which hears it")
+        if comm.chooses:
+            continue
         require_equal(changed, hearer, f"the {name} of robot 1, which robot 0 hears, reaches")
         moved = senders.offset.clone()
         moved[:, 1, 0, axis] += 2
@@ -55,8 +59,9 @@ def who_hears_nothing_keeps_its_features(comm: Comm) -> None:
     if comm.joined is None:
         return
     feature, live, senders = draw(6, n_agents=5, share=0.3)
-    hears = live.any(-1) & torch.tensor(comm.rounds > 0)
-    after = comm(feature, live, senders).feature
+    delivery = Watched(live)
+    after = comm(feature, live, senders, delivery).feature
+    hears = torch.stack([torch.zeros_like(live), *delivery.edges]).any(0).any(-1)
     broken = "a robot that hears nothing has other features than before"
     require_equal(after[~hears], feature[~hears], broken)
     changed = (after != feature).any(-1)[hears]

@@ -28,6 +28,9 @@ SMALL = {
     "full_state": {"hidden": 24, "received": 24},
     "commnet": {"hidden": 24},
     "dgn": {"hidden": 24, "heads": 2, "head_dim": 8},
+    "magic": {"signal_dim": 8, "message_dim": 16, "heads": 2, "head_dim": 8, "hidden": 24},
+    "dcc": {"message_dim": 16, "heads": 2, "head_dim": 8},
+    "expocomm": {"hidden": 24},
 }
 
 IQL = {

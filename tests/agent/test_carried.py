@@ -24,7 +24,9 @@ BASE = [
 ]
 CARRYING = {
     "gru": ["encoder.memory=gru"],
+    "remembered": ["comm=expocomm", "comm.peers=one"],
     "delayed": ["channel=delayed", "channel.delayed.steps=2"],
+    "chosen": ["comm=magic", "channel=delayed", "channel.delayed.steps=2"],
     "drawn": ["channel=delayed", "channel.delayed.steps=2", "channel.delayed.random=true"],
     "bursts": ["channel=lossy", "channel.lossy.burst_start=0.3"],
     "all": [
@@ -75,9 +77,9 @@ def test_unrolled_rows_say_what_was_played(settings: list[str]) -> None:
     torch.testing.assert_close(again, row[keys.ACTION_VALUE])
 
 
-@pytest.mark.parametrize("settings", [CARRYING["gru"], CARRYING["delayed"]], ids=["gru", "delayed"])
-def test_what_is_carried_matters_and_gradients_cross_steps(settings: list[str]) -> None:
-    _, agent, frames = played(settings)
+@pytest.mark.parametrize("kind", ["gru", "delayed", "remembered"])
+def test_what_is_carried_matters_and_gradients_cross_steps(kind: str) -> None:
+    _, agent, frames = played(CARRYING[kind])
     row = frames[:, 3:11]
     seen = entries(agent.network, row.clone())
     observation = seen[keys.OBSERVATION].requires_grad_()

@@ -9,7 +9,7 @@ without a message it is right half of the time.
 
 import torch
 from tensordict import TensorDict
-from torchrl.data import Binary
+from torchrl.data import Binary, Unbounded
 from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
@@ -30,6 +30,8 @@ class Doors(Probe):
         super().__init__(num_envs, seed)
         state = Binary(shape=torch.Size([num_envs, *STATE_SHAPE]), dtype=torch.bool)
         self.observation_spec[keys.STATE] = state  # for mixers
+        pairs = torch.Size([num_envs, N_AGENTS, N_AGENTS, 2])
+        self.observation_spec[keys.OFFSET] = Unbounded(pairs, dtype=torch.int64)
 
     def _answer(self, agents: dict, done: torch.Tensor, even: torch.Tensor) -> TensorDict:
         answer = super()._answer(agents, done, even)
@@ -44,7 +46,8 @@ class Doors(Probe):
             square[:, :, 0, *cell] = 0.0
             shut = self.code[:, 0] != door
             square[:, 0, 0, *cell] = torch.where(shut, -1.0, 0.0)
-        return seen | {"observation": square}
+        apart = torch.tensor([[[0, 0], [0, 3]], [[0, -3], [0, 0]]])
+        return seen | {"observation": square, "offset": apart.repeat(self.num_envs, 1, 1, 1)}
 
     def _redraw(self) -> None:
         drawn = torch.randint(2, (self.num_envs, 1), generator=self.draw).expand(-1, N_AGENTS)

@@ -79,10 +79,10 @@ def weigh(query: Vector, keys: Rows, values: Rows) -> Vector:
 def agrees(comm: Comm, expected: Rows, numbers: int) -> None:
     """A scheme gives these features, and each robot pays for this many floats an edge."""
     feature = torch.tensor(FEATURE, dtype=torch.float64)
-    joined, _, _, bits, _ = comm.double()(feature, LIVE, Senders(RANK))
-    require_close(joined, torch.tensor(expected, dtype=torch.float64), "not the equation")
+    talk = comm.double()(feature, LIVE, Senders(RANK))
+    require_close(talk.feature, torch.tensor(expected, dtype=torch.float64), "not the equation")
     paid: Tensor = torch.tensor([[2.0], [1.0], [1.0], [0.0]], dtype=torch.float64)
-    require_equal(bits, 32 * numbers * paid, "bits")
+    require_equal(talk.bits, 32 * numbers * paid, "bits")
 
 
 def plan(combine: str, kind: type[Plan] = Plan) -> None:
@@ -213,7 +213,7 @@ def ic3net(rounds: int = 1, kind: type[Ic3Net] = Ic3Net) -> None:
         ]
     assert speaks == [True, False, True, True]
     feature = torch.tensor(FEATURE, dtype=torch.float64)
-    joined, _, edges, bits, _ = comm.double()(feature, LIVE, Senders(RANK))
+    joined, _, edges, bits, *_ = comm.double()(feature, LIVE, Senders(RANK))
     torch.testing.assert_close(joined, torch.tensor(hidden, dtype=torch.float64))
     sent = [rounds * len(others) * speaks[i] for i, others in enumerate(HEARS)]
     assert edges.sum(-1).tolist() == sent
@@ -236,7 +236,7 @@ def dial() -> None:
     received = [relu(times(B, m, SHIFT)) for m in bits]
     expected = [joined(relu(times(B, h)), received, i, "sum") for i, h in robots()]
     feature = torch.tensor(FEATURE, dtype=torch.float64)
-    result, sent, _, cost, _ = comm.double()(feature, LIVE, Senders(RANK))
+    result, sent, _, cost, *_ = comm.double()(feature, LIVE, Senders(RANK))
     torch.testing.assert_close(result, torch.tensor(expected, dtype=torch.float64))
     assert sent.tolist() == bits
     assert cost.flatten().tolist() == [4.0, 2.0, 2.0, 0.0]

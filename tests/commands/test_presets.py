@@ -143,7 +143,7 @@ def test_single_rooms_have_no_wall_inside() -> None:
 
 def learners_and_schemes() -> list[tuple[str, str]]:
     """Every learner with its first scheme, every scheme with the first learner that takes it."""
-    schemes = sorted(path.stem for path in (conf_folder() / "comm").glob("*.yaml"))
+    schemes = sorted(path.stem for path in (conf_folder() / "comm").glob("[!_]*.yaml"))
     learners = {
         path.stem: (constant(OmegaConf.load(path)["_target_"], "fits") or {}).get("comm", schemes)
         for path in sorted((conf_folder() / "agent").glob("[!_]*.yaml"))

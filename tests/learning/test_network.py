@@ -5,6 +5,7 @@ import torch
 
 from marl_clean.channel.delayed import Delayed
 from marl_clean.channel.lossy import Lossy
+from marl_clean.comm.base import Senders
 from marl_clean.errors import BadInput
 from marl_clean.learning.networks import QNetwork
 from tests.agent.parts import by_key, frames, make_comm, make_encoder
@@ -18,16 +19,17 @@ def network(dueling=True, precision="float32", comm="plan") -> QNetwork:
 def test_dueling_values_average_to_the_state_value():
     net, batch = network(), frames(3)
     value, _, _ = net(by_key(batch))
-    feature = net.comm(net.encoder(batch[0]), *batch[1:])[0]
+    observation, adjacency, rank = batch
+    feature = net.comm(net.encoder(observation), adjacency, Senders(rank)).feature
     torch.testing.assert_close(value.mean(-1), net.head(feature)[..., 0])
 
 
 @pytest.mark.parametrize("dueling", [True, False])
 def test_a_value_for_every_robot_and_action(dueling):
-    value, (_, message, edges, bits, _), carried = network(dueling)(by_key(frames(3, n_agents=5)))
+    value, talk, carried = network(dueling)(by_key(frames(3, n_agents=5)))
     assert value.shape == (3, 5, 4)
-    assert message.shape == (3, 5, 32)
-    assert edges.shape == bits.shape == (3, 5, 1)
+    assert talk.message.shape == (3, 5, 32)
+    assert talk.edges.shape == talk.bits.shape == (3, 5, 1)
     assert carried == {}
 
 
