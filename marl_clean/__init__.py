@@ -18,6 +18,7 @@ __all__ = [
     "__version__",
     "compare",
     "evaluate",
+    "headroom",
     "load_policy",
     "make_env",
     "train",
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from marl_clean.env.cleaning import CleaningEnv
     from marl_clean.errors import BadInput
     from marl_clean.python.door import compare, evaluate, load_policy, make_env, train
+    from marl_clean.python.headroom import headroom
     from marl_clean.python.run import Run
     from marl_clean.python.table import Table
 else:
@@ -36,6 +38,7 @@ else:
         "BadInput": "errors",
         "CleaningEnv": "env.cleaning",
         "Run": "python.run",
+        "headroom": "python.headroom",
         "Table": "python.table",
         "use_plugins": "config.locate",
         **dict.fromkeys(("compare", "evaluate", "load_policy", "make_env", "train"), "python.door"),

@@ -146,6 +146,14 @@ def matrix(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def headroom(arguments: argparse.Namespace) -> int:
+    """what planners gain from maps and targets of others: where a message can pay at all"""
+    from marl_clean.commands import headroom as command
+
+    command.run(arguments.settings)
+    return 0
+
+
 def runs(arguments: argparse.Namespace) -> int:
     """list what is in runs/: state, seed, score, size, age; --clean removes what is not needed"""
     from marl_clean.commands import runs as command
@@ -208,6 +216,7 @@ COMMANDS = {
     "compare": compare,
     "report": report,
     "matrix": matrix,
+    "headroom": headroom,
     "runs": runs,
     "benchmark": benchmark,
     "list": list_levels,

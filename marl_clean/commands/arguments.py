@@ -38,7 +38,7 @@ def parser_of(name: str, does: str, shows_help: bool = False) -> Parser:
     """Return a command's parser; `does` is what its help says, with `shows_help` levels too."""
     parser = Parser(
         prog=f"marl-clean {name}",
-        description=f"{does}{ALSO.get(name, '')}{_of_tune() if name == 'tune' else ''}",
+        description=f"{does}{ALSO.get(name, '')}{_own_settings(name)}",
         epilog=_levels() if shows_help and name not in WITHOUT_SETTINGS else None,
         parents=[plugin_option()],
     )
@@ -79,9 +79,13 @@ def parser_of(name: str, does: str, shows_help: bool = False) -> Parser:
     return parser
 
 
-def _of_tune() -> str:
-    from marl_clean.commands._tune_settings import described
-
+def _own_settings(name: str) -> str:
+    if name == "tune":
+        from marl_clean.commands._tune_settings import described
+    elif name == "headroom":
+        from marl_clean.commands._headroom_settings import described
+    else:
+        return ""
     return f"; its own settings: {described()}"
 
 

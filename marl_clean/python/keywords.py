@@ -47,16 +47,20 @@ def overrides_of(settings: Settings, keywords: Mapping[str, Any]) -> list[str]:
         if isinstance(value, Mapping) and (key in rooms or key == "evaluation"):
             values |= dict(_of_section(key, value))
         elif key in rooms:
-            levels += with_floor_plans([f"{key}={_text(key, value)}"])
+            levels += with_floor_plans([f"{key}={value_text(key, value)}"])
         else:
             values[key] = value
     if CHECKPOINT in values:
-        levels.append(f"{CHECKPOINT}={_text(CHECKPOINT, values.pop(CHECKPOINT))}")
+        levels.append(f"{CHECKPOINT}={value_text(CHECKPOINT, values.pop(CHECKPOINT))}")
     if not values:
         return [*overrides, *levels]
     known = _known_keys([*overrides, *levels])
     named = {_full_name(key, known): value for key, value in values.items()}
-    return [*overrides, *levels, *(f"{key}={_text(key, value)}" for key, value in named.items())]
+    return [
+        *overrides,
+        *levels,
+        *(f"{key}={value_text(key, value)}" for key, value in named.items()),
+    ]
 
 
 def _listed(settings: Settings) -> Sequence[str]:
@@ -118,14 +122,14 @@ def _full_name(key: str, known: Sequence[str]) -> str:
     raise BadInput(f"{key}: no such key; valid: {', '.join(roots)}, or a key of one of these")
 
 
-def _text(key: str, value: Any) -> str:
+def value_text(key: str, value: Any) -> str:
     """A value as the text of an override. Raises BadInput for a type that no setting takes."""
     if value is None:
         return "null"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, Enum):
-        return _text(key, value.value)
+        return value_text(key, value.value)
     if isinstance(value, str | Path):
         return _quoted(str(value))
     if isinstance(value, Integral):
@@ -133,9 +137,11 @@ def _text(key: str, value: Any) -> str:
     if isinstance(value, Real):
         return repr(float(value))
     if isinstance(value, Mapping):
-        return "{" + ",".join(f"{name}:{_text(key, item)}" for name, item in value.items()) + "}"
+        return (
+            "{" + ",".join(f"{name}:{value_text(key, item)}" for name, item in value.items()) + "}"
+        )
     if isinstance(value, Sequence):
-        return "[" + ",".join(_text(key, item) for item in value) + "]"
+        return "[" + ",".join(value_text(key, item) for item in value) + "]"
     valid = "a number, a string, true or false, None, a list or a dict of these"
     raise BadInput(f"{key}: a {type(value).__name__} is no setting; valid: {valid}")
 

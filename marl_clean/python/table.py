@@ -67,12 +67,7 @@ class Table(Sequence[Row]):
         >>> frame.loc[0, "policy"]
         'random'
         """
-        try:
-            from pandas import DataFrame
-        except ModuleNotFoundError:
-            needs = "to_pandas: needs pandas, which is not installed; pip install pandas"
-            raise BadInput(needs) from None
-        return DataFrame(self.rows)
+        return frame_of(self.rows)
 
     @overload
     def __getitem__(self, index: int) -> Row: ...
@@ -99,6 +94,16 @@ class Table(Sequence[Row]):
 
     def __repr__(self) -> str:
         return f"Table({', '.join(entry['policy'] for entry in self.entries)})"
+
+
+def frame_of(rows: Sequence[Row]) -> "DataFrame":
+    """Rows as a pandas DataFrame. Raises BadInput where pandas is not installed."""
+    try:
+        from pandas import DataFrame
+    except ModuleNotFoundError:
+        needs = "to_pandas: needs pandas, which is not installed; pip install pandas"
+        raise BadInput(needs) from None
+    return DataFrame(rows)
 
 
 def row_of(entry: Entry) -> Row:

@@ -99,6 +99,7 @@ COMPOSING = [
     "figure single",
     "benchmark",
     "matrix RUN",
+    "headroom",
 ]
 
 
