@@ -122,7 +122,8 @@ def compare(arguments: argparse.Namespace) -> int:
     """finished runs in one table, seeds pooled, compared with one of them on the same houses"""
     from marl_clean.commands import compare as command
 
-    command.main(arguments.runs, arguments.out, against=arguments.against, export=arguments.export)
+    named = {key: getattr(arguments, key) for key in ("against", "export", "silent", "oracle")}
+    command.main(arguments.runs, arguments.out, **named)
     return 0
 
 

@@ -59,6 +59,11 @@ def parser_of(name: str, does: str, shows_help: bool = False) -> Parser:
             "--against", metavar="ROW", help="label of the row that the others are compared with"
         )
     if name == "compare":
+        named = "label of a row, or runs by folder or 'GLOB'"
+        silent = f"{named}: without messages; default: comm=none"
+        oracle = f"{named}, of any memory: with all that a message could say; adds gains"
+        parser.add_argument("--silent", metavar="ROW", help=silent)
+        parser.add_argument("--oracle", metavar="ROW", help=oracle)
         parser.add_argument("--export", type=Path, metavar="FOLDER", help="json, csv and LaTeX")
     if name == "matrix":
         parser.add_argument("runs", metavar="RUN", nargs="+", help="folders of runs")

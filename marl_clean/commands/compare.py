@@ -19,9 +19,12 @@ from marl_clean.commands.gathering import (
     reference_of,
     rows_of,
 )
+from marl_clean.commands.twins import add_gains
 from marl_clean.config.stored import METRICS, RUNS
 from marl_clean.errors import BadInput
 from marl_clean.evaluation import marl_eval, tidy
+from marl_clean.evaluation.flat import to_flat
+from marl_clean.evaluation.gains import make_gains_table
 from marl_clean.evaluation.latex import to_latex
 from marl_clean.evaluation.measured import Measured
 from marl_clean.evaluation.paired import Row, differences, make_paired_table, unpaired_seeds
@@ -30,7 +33,7 @@ from marl_clean.evaluation.row_statistics import make_statistics_table, row_stat
 from marl_clean.evaluation.table import YARDSTICK, make_table, output
 from marl_clean.storage import files
 
-VALIDATION, LATEX = "validation/", "tables.tex"
+VALIDATION, LATEX, FLAT = "validation/", "tables.tex", "statistics.csv"
 log = logging.getLogger(__name__)
 
 
@@ -64,6 +67,8 @@ def main(
     against: str | None = None,
     figure: bool = True,
     export: Path | None = None,
+    silent: str | None = None,
+    oracle: str | None = None,
 ) -> list[Entry]:
     """Print tables for every set of houses and return their entries, those of all seeds pooled.
 
@@ -72,14 +77,18 @@ def main(
     A folder without a finished run is logged in one line and left out. `out`: where the entries are
     written as json; the rest is written beside it, as `<out>_paired.json` and
     `<out>_statistics.json`. `figure`: draw runs/figures/compare*.png and .svg. `export`: a folder
-    for tables.tex, marl_eval.json and tidy.csv; `runs` may name the last two in place of folders.
-    Raises BadInput when no run is left, or no row is labelled `against`.
+    for tables.tex, statistics.csv, marl_eval.json and tidy.csv; `runs` may name the last two in
+    place of folders. `silent`, `oracle`: labels of rows, or runs by folder or glob, between which
+    recovered headroom and protocols are measured.
+    Raises BadInput when no run is left, or no row is what `against`, `silent` or `oracle` names.
     """
     console = console or output()
-    worlds = compared(runs, against)
+    worlds = compared(runs, against, silent, oracle)
     for number, world in enumerate(worlds, start=1):
         console.print(make_table(world.entries))
         console.print(make_statistics_table(world.statistics))
+        if (gains := make_gains_table(world.statistics)) is not None:
+            console.print(gains)
         if world.reference is not None and world.differences:
             console.print(make_paired_table(world.differences, world.reference))
         if figure and world.pools and "T_100" in world.entries[0]["summary"]:
@@ -101,7 +110,7 @@ def main(
 
 
 def write_exports(folder: Path, worlds: Sequence[WorldComparison]) -> list[Path]:
-    """Write the three exports. Raises BadInput where they cannot be written."""
+    """Write the exports. Raises BadInput where they cannot be written."""
     from marl_clean.report.metrics import read_metrics
 
     measured = [item for world in worlds for item in world.measured]
@@ -118,6 +127,7 @@ def write_exports(folder: Path, worlds: Sequence[WorldComparison]) -> list[Path]
         marl_eval.NAME: marl_eval.to_marl_eval(measured, curves),
         tidy.NAME: tidy.to_tidy(measured),
         LATEX: to_latex([world.statistics for world in worlds]),
+        FLAT: to_flat([row for world in worlds for row in world.statistics]),
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -128,10 +138,16 @@ def write_exports(folder: Path, worlds: Sequence[WorldComparison]) -> list[Path]
     return [folder / name for name in texts]
 
 
-def compared(runs: Sequence[str], against: str | None = None) -> list[WorldComparison]:
+def compared(
+    runs: Sequence[str],
+    against: str | None = None,
+    silent: str | None = None,
+    oracle: str | None = None,
+) -> list[WorldComparison]:
     """Pool the seeds of finished runs, and compare each setting with a reference, world by world.
 
-    Raises BadInput when no run is left, or no row is labelled `against`.
+    With `silent` or `oracle`, also with these. Raises BadInput when no run is left, or no row is
+    what these three name.
     """
     worlds = gather(runs)
     if not worlds:
@@ -139,7 +155,10 @@ def compared(runs: Sequence[str], against: str | None = None) -> list[WorldCompa
         raise BadInput(
             f"compare: no finished run among {given}; give folders of {RUNS}/, or exports"
         )
-    return [comparison_of(key, world, against) for key, world in worlds.items()]
+    comparisons = [comparison_of(key, world, against) for key, world in worlds.items()]
+    if silent is not None or oracle is not None:
+        add_gains(list(worlds.values()), [item.statistics for item in comparisons], silent, oracle)
+    return comparisons
 
 
 def comparison_of(

@@ -44,7 +44,7 @@ def interventions_of(
                 if folder is None:
                     continue
                 if folder not in read:
-                    read[folder] = _read(folder)
+                    read[folder] = read_beside(folder)
                 if (intervened := read[folder]) is not None:
                     measured.setdefault(short[row.label], {})[seed] = intervened
     if not measured:
@@ -91,7 +91,7 @@ def listening_of(measured: Mapping[str, Runs]) -> Rows:
     return [["policy", "seed", *titles], *lines]
 
 
-def _read(folder: Path) -> Intervened | None:
+def read_beside(folder: Path) -> Intervened | None:
     """What a run's interventions measured; nothing, with a line in the log, where it is damaged."""
     for path in (folder / MEASURED, folder.parent / EVALUATED / folder.name / MEASURED):
         try:

@@ -3,6 +3,7 @@ r"""`tables.tex`: the tables of a comparison for a paper, with booktabs and 95 %
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from marl_clean.evaluation.gains import gain_cells
 from marl_clean.evaluation.records import SHOWN_EXTERNAL
 from marl_clean.evaluation.row_statistics import SCORE, TIMES
 
@@ -33,15 +34,17 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     heads += [head for name in measures for head in (escaped(name), f"IQM {escaped(name)}")]
     heads += ["optimality gap"] if timed else []
     heads += [f"P({'sooner' if timed else 'more'})"] if over is not None else []
+    gain_heads, *gains = gain_cells(rows)
+    heads += map(escaped, gain_heads)
     lines = [_line(heads), r"\midrule"]
-    for row in rows:
+    for row, gained in zip(rows, gains, strict=True):
         shown = row["aggregates"]
         cells = [escaped(row["row"]), str(len(row["seeds"])) if row["seeds"] else "--"]
         cells += [_cell(shown[name][kind]) for name in measures for kind in ("mean", "iqm")]
         cells += [_cell(shown[SCORE]["optimality_gap"], 2)] if timed else []
         if over is not None:
             cells.append(_cell(row.get("improvement", {}).get(measures[-1]), 2))
-        lines.append(_line(cells))
+        lines.append(_line([*cells, *map(escaped, gained)]))
     note = f"{first['houses']} houses ({first['house_set']}), {first['n_agents']} robots."
     note += " Brackets: 95 % intervals."
     note += "" if over is None else f" P against {over}."

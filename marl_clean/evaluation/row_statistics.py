@@ -41,7 +41,8 @@ def row_statistics(
     `by_seed`: of each measure the mean over houses of each run, in the order of `seeds`;
     `profile`: the share of scores above tau; `finished_by`: the share of houses finished by a step;
     `improvement`: of each time how probably it is less than the reference's (`over`); of an
-    external task how probably the return is more. Rows have the same houses.
+    external task how probably the return is more. Rows have the same houses. `recovered` and
+    `protocols` are added by whoever knows the silent row, see `evaluation.gains`.
     """
     return [_statistics_of(row, reference, oracle) for row in rows]
 

@@ -89,13 +89,19 @@ def evaluate(
     return measure(overrides_of(None, {"checkpoint": name_of(run), **keywords}), intervention)
 
 
-def compare(*runs: RunLike, against: str | None = None) -> Table:
+def compare(
+    *runs: RunLike,
+    against: str | None = None,
+    silent: str | None = None,
+    oracle: str | None = None,
+) -> Table:
     """Pool the seeds of finished runs and return a row for each setting, planners last.
 
     As `marl-clean compare` does, without its files. `differences` holds each setting's paired
     difference to the row labelled `against`, or to the first without communication, on the same
     houses; `statistics` each row's interquartile means, optimality gaps, profiles and probability
-    of improvement.
+    of improvement, and with `silent` or `oracle` (a row's label, or runs by folder or glob) its
+    recovered headroom and its share of protocols.
 
         >>> import marl_clean
         >>> table = marl_clean.compare("mine", against="nearest_unknown")
@@ -108,7 +114,7 @@ def compare(*runs: RunLike, against: str | None = None) -> Table:
         BadInput: what `marl-clean compare` refuses, in the same words.
     """
     folders = [name_of(run) for run in runs]
-    worlds = compare_command.compared(folders, against)
+    worlds = compare_command.compared(folders, against, silent, oracle)
     return Table(
         [entry for world in worlds for entry in world.entries],
         [difference for world in worlds for difference in world.differences],
