@@ -238,6 +238,7 @@ def _config_of(
         planned.topology.radius_cells = float(cell.reach)
     elif cell.reach is not None:
         planned.topology.view_size = 2 * int(cell.reach) + 1
+    planned.comm = OmegaConf.create(read_level("comm", "none"))  # `delta` would unite private maps
     # What is observed, which planners do not see: the least, since maps have its margin.
     planned.observation = {**read_level("observation", "crop"), "view_size": 1}
     return planned

@@ -136,3 +136,11 @@ def test_the_default_grid_has_sixty_cells() -> None:
     cells = {play.cell for play in make_plan([]).plays if play.cell.reach is not None}
     assert len(cells) == 60
     assert all(play.config.evaluation.houses == 40 for play in make_plan([]).plays[:1])
+
+
+def test_no_scheme_speaks_between_planners() -> None:
+    """`comm=delta` would tell private maps what others have cleaned."""
+    spoken = make_plan([*SMALL, "comm=delta"]).plays[0]
+    assert [house["T_100"] for house in play(spoken.config)] == [
+        house["T_100"] for house in play(make_plan(SMALL).plays[0].config)
+    ]
