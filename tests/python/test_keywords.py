@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from marl_clean import cli
 from marl_clean.config.compose import compose_config, container
 from marl_clean.errors import BadInput
-from marl_clean.python.keywords import Settings, _text, overrides_of
+from marl_clean.python.keywords import Settings, overrides_of, value_text
 from marl_clean.settings import Memory
 from tests.families import family
 
@@ -58,7 +58,7 @@ def test_both_spellings_make_the_same_config(
 @given(st.text(st.characters(exclude_categories=("Cs", "Cc")), max_size=12))
 def test_any_text_arrives_as_it_is(text: str) -> None:
     assume("${" not in text)
-    [override] = OverridesParser.create().parse_overrides([f"out={_text('out', text)}"])
+    [override] = OverridesParser.create().parse_overrides([f"out={value_text('out', text)}"])
     assert override.value() == text
 
 
