@@ -54,6 +54,7 @@ OWN_REWARD = (AGENTS, "own_reward")  # *B n 1 float32: what it earned itself in 
 INFO_STEP = (AGENTS, "info", "step")  # *B n 1 float32, the three terms of own_reward
 INFO_CLEANING = (AGENTS, "info", "cleaning")
 INFO_DISCOVERY = (AGENTS, "info", "discovery")
+INFO_COLLISION = (AGENTS, "info", "collision")  # another, only with env.collision_pays below 0
 INFO_SPILL = (AGENTS, "info", "spill")  # another, only with env.spills.per_episode above 0
 INFO_SHAPING = (AGENTS, "info", "shaping")  # part of reward, not of own_reward
 EPISODE_REWARD = (AGENTS, "episode_reward")  # *B n 1 float32: sum of reward so far

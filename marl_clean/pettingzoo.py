@@ -60,9 +60,9 @@ class ParallelCleaning(ParallelEnv[str, Seen, int]):
     the robot's own map (all 1 where all four are known walls).
 
     ## Rewards
-    What the robot is paid by the config's `reward`. Infos hold the three terms it earned itself,
-    `step`, `cleaning`, `discovery`, with spills `spill`, and their sum `own_reward`; they are 0
-    after a reset.
+    What the robot is paid by the config's `reward`. Infos hold the terms it earned itself, `step`,
+    `cleaning`, `discovery`, `collision` where collisions pay, with spills `spill`, and their sum
+    `own_reward`; they are 0 after a reset.
 
     ## Starting state
     Everything drawn is a pure function of (seed, episode): `reset(seed=s)` begins episode 0 of

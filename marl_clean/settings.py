@@ -27,6 +27,9 @@ class Knowledge(StrEnum):
     STALE = "stale"
 
 
+KnowledgeOfTeam = Knowledge | list[Knowledge]  # one for all robots, or an entry for each
+
+
 class Starts(StrEnum):
     """Where robots start that the house gives no place: anywhere, or next to each other."""
 
@@ -60,6 +63,13 @@ class ObstaclePay(StrEnum):
 
     FIRST = "first"
     EVERY = "every"
+
+
+class PaidBy(StrEnum):
+    """By what a cell's cleaning and discovery are valued: a robot's own map, or all maps united."""
+
+    OWN_MAP = "own_map"
+    TEAM_MAP = "team_map"
 
 
 class Assignment(StrEnum):
@@ -144,6 +154,7 @@ OddFromThree = Annotated[int, Field(ge=3), AfterValidator(_odd)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+NonPositiveFloat = Annotated[float, Field(le=0, allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 UncleanedAtMost = Annotated[float, Field(ge=0, lt=0.5)]  # a cleaned cell is shown as 0.5 at most
 WallPays = Annotated[float, Field(ge=0, le=2)]  # at most what an unknown free cell pays

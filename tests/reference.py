@@ -16,7 +16,16 @@ from functools import partial
 from itertools import product
 from typing import Any, Literal
 
-from marl_clean.settings import Assignment, Cases, Decay, Knowledge, Memory, ObstaclePay, Sensor
+from marl_clean.settings import (
+    Assignment,
+    Cases,
+    Decay,
+    Knowledge,
+    Memory,
+    ObstaclePay,
+    PaidBy,
+    Sensor,
+)
 
 Place = tuple[int, int]
 Grid = list[list[bool]]
@@ -51,7 +60,7 @@ class Settings:
     """Every reading of the rules; the defaults are the rule page's."""
 
     memory: Memory = Memory.SHARED
-    knowledge: Knowledge = Knowledge.UNKNOWN
+    knowledge: Knowledge | tuple[Knowledge, ...] = Knowledge.UNKNOWN  # one for all, or one a robot
     sensor: Sensor = Sensor.BUMP
     decay_steps: int | None = 200  # None: what is clean stays clean
     decay: Decay = Decay.FORMULA
@@ -60,6 +69,9 @@ class Settings:
     cases: Cases = Cases.ADD
     obstacles: ObstaclePay = ObstaclePay.FIRST
     wall_pays: Fraction | float = 2  # what learning of a wall pays
+    paid_by: PaidBy = PaidBy.OWN_MAP
+    collision_pays: Fraction | float = 0  # what a collision adds to the own reward
+    robots_shown: bool = True
     shaping: Fraction | float = 0  # w of the shaping term w (gamma phi' - phi)
     gamma: Fraction | float = Fraction(7, 8)  # the learner's
     spills: int = 0  # an episode; when and where is drawn elsewhere, and handed to the world
@@ -87,6 +99,14 @@ class Settings:
         if self.decay_steps is None:
             return math.inf
         return math.ceil(JUST_CLEANED / self.decay_per_step)
+
+    def knowledge_of(self, robot: int) -> Knowledge:
+        return self.knowledge if isinstance(self.knowledge, str) else self.knowledge[robot]
+
+    @property
+    def any_stale(self) -> bool:
+        known = self.knowledge
+        return Knowledge.STALE in ([known] if isinstance(known, str) else known)
 
     @property
     def radius(self) -> Fraction:
@@ -213,6 +233,7 @@ class Outcome:
     step: list[Fraction]
     cleaning: list[Fraction]
     discovery: list[Fraction]
+    collision: list[Fraction]
     spill: list[Fraction]
     own_reward: list[Fraction]
     shaping: list[Fraction]
@@ -262,8 +283,8 @@ class World:
         self.cleaned: set[Place] = set()  # of the cells free now
         self.stood_on: set[Place] = set()  # ever
         n_maps = 1 if settings.memory is Memory.SHARED else self.n_agents
-        layout = free_places(self.free if memorised is None else memorised)
-        self.maps: list[Map] = [self._first_map(layout) for _ in range(n_maps)]
+        before = free_places(self.free if memorised is None else memorised)
+        self.maps: list[Map] = [self._first_map(robot, before) for robot in range(n_maps)]
         self.said: list[dict[Place, Any]] = [{} for _ in self.maps]
         self.changed: list[dict[Place, int]] = [{} for _ in self.maps]
         self.heard_from: list[dict[Place, int]] = [{} for _ in self.maps]
@@ -342,17 +363,21 @@ class World:
         return [[sequence.index(j) for j in robots] for sequence in sequences]
 
     def seen(self, robot: int) -> dict[Place, Fraction]:
-        """The matrix as `robot` sees it: a robot's cell is 1, others only in contact if private."""
-        known, contacts = self.map_of(robot), self.contacts()[robot]
-        shown = {
-            place
-            for other, place in enumerate(self.positions)
-            if self.settings.memory is Memory.SHARED or other == robot or contacts[other]
-        }
+        """The matrix as `robot` sees it: its own cell is 1, and those of the others it sees."""
+        known = self.map_of(robot)
+        shown = {self.positions[other] for other in (robot, *self.seen_robots(robot))}
         return {
             place: ROBOT if place in shown else value(known.get(place), self.steps, self.settings)
             for place in self.places()
         }
+
+    def seen_robots(self, robot: int) -> list[int]:
+        """The others whose place it sees: all on a shared map, else its contacts; or nobody."""
+        if not self.settings.robots_shown:
+            return []
+        contacts = self.contacts()[robot]
+        everyone = self.settings.memory is Memory.SHARED
+        return [i for i in range(self.n_agents) if i != robot and (everyone or contacts[i])]
 
     def map_values(self, robot: int) -> list[list[float]]:
         """The paper's matrix, (R+2) x (C+2)."""
@@ -416,9 +441,9 @@ class World:
             pays if m and place in self.spilt else Fraction(0)
             for m, place in zip(moved, target, strict=True)
         ]
-        own_reward = [
-            sum(own, Fraction(0)) + extra for own, extra in zip(terms, spill, strict=True)
-        ]
+        costs = exact(self.settings.collision_pays)
+        collision = [costs if collided[i] else Fraction(0) for i in robots]
+        own_reward = [sum(terms[i], collision[i] + spill[i]) for i in robots]
 
         self.steps += 1
         for robot in robots:
@@ -449,6 +474,7 @@ class World:
             step=step,
             cleaning=cleaning,
             discovery=discovery,
+            collision=collision,
             spill=spill,
             own_reward=own_reward,
             shaping=shaping,
@@ -476,9 +502,10 @@ class World:
     def _reward_terms(
         self, robot: int, target: Place, moved: bool, bumped: bool
     ) -> tuple[Fraction, Fraction, Fraction]:
-        """(step, cleaning, discovery), by the robot's map before the step (§3.3)."""
+        """(step, cleaning, discovery), by the robot's map before the step, or the team's (§3.3)."""
         settings = self.settings
-        held = self.map_of(robot).get(target)
+        by_team = settings.paid_by is PaidBy.TEAM_MAP
+        held = (self.union_of_maps() if by_team else self.map_of(robot)).get(target)
         held_free = held is not None and not held.blocked
         held_blocked = held is not None and held.blocked
         v = value(held, self.steps, settings) if held_free else exact(settings.unknown_value)
@@ -512,10 +539,15 @@ class World:
 
     # ---- what is written, in this order
 
-    def _first_map(self, layout: set[Place]) -> Map:
-        """Nothing, or the whole matrix as memorised, all of it dirty, learnt before step 0."""
-        if self.settings.knowledge is Knowledge.UNKNOWN:
+    def _first_map(self, robot: int, before: set[Place]) -> Map:
+        """Nothing, or the whole matrix as memorised, all of it dirty, learnt before step 0.
+
+        A stale map holds the layout `before` the furniture was moved.
+        """
+        knowledge = self.settings.knowledge_of(robot)
+        if knowledge is Knowledge.UNKNOWN:
             return {}
+        layout = before if knowledge is Knowledge.STALE else free_places(self.free)
         return {place: Record(blocked=place not in layout, written=-1) for place in self.places()}
 
     def _clean(self) -> list[bool]:
@@ -816,7 +848,8 @@ def bounds(world: World) -> dict[str, int | None]:
     farthest = max(min(walk[place] for walk in walks) for place in free)
     found["bound_100"] = max(math.ceil(Fraction(len(free) - n0, n)), farthest)
     walls = {near for place in free for near in neighbours(place)} - free
-    blind = world.settings.sensor is Sensor.BUMP and world.settings.knowledge is Knowledge.UNKNOWN
+    knowledge = {world.settings.knowledge_of(robot) for robot in range(n)}
+    blind = world.settings.sensor is Sensor.BUMP and knowledge == {Knowledge.UNKNOWN}
     found["bound_certify"] = math.ceil(Fraction(len(free) - n0 + len(walls), n)) if blind else None
     return found
 

@@ -29,6 +29,7 @@ WORLDS = {
     "private": ["env.memory=private", "env.n_agents=3", "env.sensor=touch4", "reward=individual"],
     "merged": ["env.memory=merged", "observation=frontier", "reward=team", "env.stuck_after=9"],
     "spills": ["env.spills.per_episode=4", "env.memory=private"],
+    "team": ["env.memory=private", "env.knowledge=[memorised,unknown]", "env.collision_pays=-1"],
     "stale": ["env.knowledge=stale", "env.furniture_moves_before_start=3", "topology=none"],
 }
 
@@ -110,8 +111,9 @@ def test_it_steps_as_the_batched_env_does(overrides: list[str]) -> None:
                 assert terminated[agent] == later[keys.TERMINATED][0, 0]
                 assert truncated[agent] == later[keys.TRUNCATED][0, 0]
                 terms = later[keys.AGENTS, "info"][0, index].to_dict()
-                spilling = {"spill"} if env.world.rules.spills.per_episode else set()
-                assert set(terms) == {"step", "cleaning", "discovery", *spilling}
+                further = {"spill"} if env.world.rules.spills.per_episode else set()
+                further |= {"collision"} if env.world.rules.collision_pays else set()
+                assert set(terms) == {"step", "cleaning", "discovery", *further}
                 assert infos[agent] == {**terms, "own_reward": later[keys.OWN_REWARD][0, index, 0]}
             td = step_mdp(td)
             if later[keys.DONE]:

@@ -95,7 +95,8 @@ class Measure:
 NOT_VALIDATED = ("T_certify", "ratio_certify", "optimum_100", "gap_100")  # measured in tests alone
 ON_VALIDATION = ("finished", *(name for name in MEASURES if name not in NOT_VALIDATED))
 COLUMNS = (  # of metrics.csv, beside those of validation
-    *("reward", "episode_reward", "shaping", "spill", "updates", "epsilon", "gamma", "stage"),
+    *("reward", "episode_reward", "shaping", "collision", "spill", "updates", "epsilon", "gamma"),
+    "stage",
     *("loss", "loss_critic", "grad_norm", "entropy", "kl_approx", "clip_fraction", "imitation"),
 )
 HIGHER_IS_BETTER = (

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from marl_clean.config.class_source import constant
 from marl_clean.config.compose import has_houses
@@ -16,15 +16,16 @@ from marl_clean.config.fitting import check_fit
 from marl_clean.config.levels import EXPERIMENT, level_file, level_of, rooms
 from marl_clean.config.overrides import parse_overrides
 from marl_clean.config.presets import study_of
-from marl_clean.config.schema import instantiate
+from marl_clean.config.schema import convert, instantiate
 from marl_clean.config.stored import RUNS, check_same_run, find_run, load_config
 from marl_clean.encoder._convolved import check_strides, fewest_weights, side_after
 from marl_clean.errors import BadInput
 from marl_clean.house.base import check_largest, draw_houses, split_seeds
 from marl_clean.house.floorplan import FloorPlan
 from marl_clean.house.rooms import Rooms
-from marl_clean.settings import Form
+from marl_clean.settings import Form, KnowledgeOfTeam, Memory
 from marl_clean.trainer._frames import check_frames
+from marl_clean.world.rules import knowledge_of_each
 
 
 def check_house(config: DictConfig) -> None:
@@ -44,6 +45,15 @@ def check_house(config: DictConfig) -> None:
         around = 2 * widest if part.generated else 0
         largest = map(max, zip(sides, houses.free.shape[1:], strict=True))
         _check_sees(config, *(side + around for side in largest))
+
+
+def check_knowledge(config: DictConfig) -> None:
+    """Raises BadInput where `env.knowledge` is a list that does not fit robots or memory."""
+    if has_houses(config) and "knowledge" in config.env:
+        env = OmegaConf.to_container(config.env)
+        assert isinstance(env, dict)
+        knowledge = convert(env["knowledge"], KnowledgeOfTeam)
+        knowledge_of_each(knowledge, Memory(env["memory"]), env["n_agents"])
 
 
 def check_shows_houses(config: DictConfig) -> None:
@@ -92,6 +102,7 @@ def check_teams(config: DictConfig) -> None:
         team.env.n_agents = size
         try:
             check_house(team)
+            check_knowledge(team)
         except BadInput as error:
             raise BadInput(f"evaluation.team_sizes: {size}: {error}") from None
 
@@ -262,7 +273,7 @@ def check_all(config: DictConfig, training: bool = False, here: bool = True) -> 
         check(config)
 
 
-CHECKS = [check_optimum, check_house]
+CHECKS = [check_optimum, check_house, check_knowledge]
 OF_TRAINING = [
     check_fit,
     check_sizes,

@@ -15,7 +15,7 @@ from marl_clean.env.compiling import Compiling
 from marl_clean.env.frames import first_frame, next_frame
 from marl_clean.env.houses import house_tensors
 from marl_clean.env.scene import scene_of
-from marl_clean.env.specs import make_specs
+from marl_clean.env.specs import check_actions, make_specs
 from marl_clean.env.viewer import Scene, draw
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses
@@ -35,7 +35,7 @@ from marl_clean.world.exchange import Exchange
 from marl_clean.world.furniture import move_furniture_
 from marl_clean.world.noise import unnoticed_bumps
 from marl_clean.world.random import Purpose, random_bits, seed_tensor, words_of_robots
-from marl_clean.world.rules import Rules
+from marl_clean.world.rules import Rules, knowledge_of_each
 from marl_clean.world.setup import Contact, FurnitureMoves, Setup
 from marl_clean.world.spills import spill_
 from marl_clean.world.state import State
@@ -58,10 +58,10 @@ class CleaningEnv(Compiling):
     `("agents", "position")`, int64 `[num_envs, n_agents, 2]`: (row, col) in the house; and
     `("agents", "own_reward")`, float32 `[num_envs, n_agents, 1]`, what each robot earned in the
     last step: the sum of the terms `("agents", "info", "step" | "cleaning" | "discovery")` and,
-    with spills, `"spill"`, see `marl_clean.world.rewards`; 0 after a reset. What a network sees is
-    added by the transforms of `marl_clean.observation` and `marl_clean.topology`, pure functions of
-    `env.state` and `env.setup`, or of `env.reset_state`, the worlds `env.reset_rows` as the last
-    reset began them.
+    where collisions pay, `"collision"`, with spills `"spill"`, see `marl_clean.world.rewards`; 0
+    after a reset. What a network sees is added by the transforms of `marl_clean.observation` and
+    `marl_clean.topology`, pure functions of `env.state` and `env.setup`, or of `env.reset_state`,
+    the worlds `env.reset_rows` as the last reset began them.
 
     ## Rewards
     `("agents", "reward")`, float32 `[num_envs, n_agents, 1]`: what a robot is paid, its
@@ -138,10 +138,12 @@ class CleaningEnv(Compiling):
             raise BadInput(
                 f"env.memory={rules.memory}: there is nothing to exchange; comm=delta needs private"
             )
-        if furniture_moves_before_start and rules.knowledge is not Knowledge.STALE:
+        knowledge_of_each(rules.knowledge, rules.memory, n_agents)
+        if furniture_moves_before_start and Knowledge.STALE not in rules.kinds_of_knowledge:
             raise BadInput(
                 f"env.furniture_moves_before_start={furniture_moves_before_start}: needs"
-                f" env.knowledge=stale, not {rules.knowledge}; no robot remembers another house"
+                f" env.knowledge=stale, not {', '.join(rules.kinds_of_knowledge)};"
+                " no robot remembers another house"
             )
         self.n_agents = n_agents
         self.num_envs = num_envs
@@ -301,13 +303,3 @@ class CleaningEnv(Compiling):
         `cell_pixels`: the side of a cell; None: chosen by the size of the house.
         """
         return draw(self.scene(env_index), cell_pixels)
-
-
-def check_actions(action: Int[Tensor, "env agent"]) -> None:
-    """Raises BadInput for an action outside MOVES; only on a CPU, where it costs no waiting."""
-    if action.device.type != "cpu" or not action.numel():
-        return
-    lowest, highest = torch.aminmax(action)
-    if lowest < 0 or highest >= len(MOVES):
-        wrong = int(lowest if lowest < 0 else highest)
-        raise BadInput(f"action {wrong}: valid: 0 up, 1 right, 2 down, 3 left")

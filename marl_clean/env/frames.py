@@ -29,8 +29,9 @@ def next_frame(state: State, outcome: Outcome, settled: Settled) -> TensorDict:
     """
     terms = (outcome.step_term, outcome.cleaning_term, outcome.discovery_term)
     named = dict(zip(REWARD_TERMS, terms, strict=True))
-    if outcome.spill_term is not None:
-        named["spill"] = outcome.spill_term
+    for name, term in (("collision", outcome.collision_term), ("spill", outcome.spill_term)):
+        if term is not None:
+            named[name] = term
     info = _of_robots(state, named)
     own = outcome.own_reward
     robots = {"position": state.position, "own_reward": own, "info": info}

@@ -1,9 +1,12 @@
-"""The TorchRL specs of a `CleaningEnv`."""
+"""The TorchRL specs of a `CleaningEnv`, and which actions are within them."""
 
 import torch
+from jaxtyping import Int
+from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Unbounded
 
 from marl_clean import keys
+from marl_clean.errors import BadInput
 from marl_clean.world.dynamics import MOVES
 from marl_clean.world.rules import Rules
 
@@ -11,8 +14,10 @@ REWARD_TERMS = ("step", "cleaning", "discovery")
 
 
 def terms_of(rules: Rules) -> tuple[str, ...]:
-    """Return the names of the terms of `own_reward`: `spill` only where there are spills."""
-    return (*REWARD_TERMS, "spill") if rules.spills.per_episode else REWARD_TERMS
+    """Return the names of the terms of `own_reward`; further ones only where they pay."""
+    collision = ("collision",) if rules.collision_pays else ()
+    spill = ("spill",) if rules.spills.per_episode else ()
+    return (*REWARD_TERMS, *collision, *spill)
 
 
 def make_specs(
@@ -38,3 +43,13 @@ def make_specs(
         of_agents(reward=Unbounded(scalar)),
         Composite({name: flag.clone() for name in keys.ENDINGS}, shape=agents[:1]),
     )
+
+
+def check_actions(action: Int[Tensor, "env agent"]) -> None:
+    """Raises BadInput for an action outside MOVES; only on a CPU, where it costs no waiting."""
+    if action.device.type != "cpu" or not action.numel():
+        return
+    lowest, highest = torch.aminmax(action)
+    if lowest < 0 or highest >= len(MOVES):
+        wrong = int(lowest if lowest < 0 else highest)
+        raise BadInput(f"action {wrong}: valid: 0 up, 1 right, 2 down, 3 left")

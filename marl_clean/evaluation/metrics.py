@@ -253,7 +253,7 @@ def episode_bounds(state: State, rules: Rules) -> dict[str, list[int | None]]:
         least = bounds.bound_percent(percent, num_free, num_starts, starts.shape[1])
         result[f"bound_{percent}"] = least.tolist()
     result["bound_100"] = bounds.bound_100(free, starts).tolist()
-    if rules.sensor is Sensor.BUMP and rules.knowledge is Knowledge.UNKNOWN:
+    if rules.sensor is Sensor.BUMP and set(rules.kinds_of_knowledge) == {Knowledge.UNKNOWN}:
         result["bound_certify"] = bounds.bound_certify(free, starts).tolist()
     return result
 

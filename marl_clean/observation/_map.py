@@ -6,7 +6,7 @@ from torch import Tensor
 
 from marl_clean.settings import Memory
 from marl_clean.world.rules import BLOCKED_VALUE, CLEANED_VALUE, ROBOT_VALUE, UNKNOWN_VALUE
-from marl_clean.world.sensing import mark_contacts
+from marl_clean.world.sensing import everyone, mark_contacts
 from marl_clean.world.setup import Setup
 from marl_clean.world.state import State
 
@@ -40,8 +40,11 @@ def with_contacts(
 ) -> Float[Tensor, "env agent row col"]:
     """Show the robots in contact in views of private maps; shared and merged maps show them.
 
+    Without `robots_shown` no map shows a robot, and each view is given its own robot alone.
     `corner` is the place in the house that each view's first cell shows.
     """
+    if not setup.rules.robots_shown:
+        return mark_contacts(view, corner, state.position, ~everyone(state.position))
     if setup.rules.memory is not Memory.PRIVATE or setup.contact is None:
         return view
     return mark_contacts(view, corner, state.position, setup.contact(state, setup.rules))

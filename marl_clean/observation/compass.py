@@ -67,7 +67,8 @@ class Compass(Observation):
       continue a known wall; and its distance.
 
     Distances are over cells known to be available; robots block no path. With private and merged
-    maps everything is computed from the robot's own map, and other robots are those in contact.
+    maps everything is computed from the robot's own map, and other robots are those in contact;
+    with `env.robots_shown=false` it is as if there were none.
     With `position_noise` everything is relative to the cell that the robot takes for its own.
 
     Its cost is searches over the known map, and reads for each robot whose number does not depend
@@ -200,7 +201,12 @@ class Compass(Observation):
 
 
 def seen_robots(state: State, setup: Setup) -> Bool[Tensor, "env agent agent"]:
-    """Return the others whose place each robot knows: all on a shared map, else its contacts."""
+    """Return the others whose place each robot knows: all on a shared map, else its contacts.
+
+    Nobody without `robots_shown`.
+    """
+    if not setup.rules.robots_shown:
+        return torch.zeros_like(everyone(state.position))
     if setup.rules.memory is Memory.SHARED or setup.contact is None:
         return everyone(state.position)
     return setup.contact(state, setup.rules)

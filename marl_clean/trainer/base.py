@@ -163,9 +163,9 @@ class TrainingLoop(ABC):
             raise Diverged(f"frame {self.frames}: a reward is NaN or infinite")
         done, finished = (later[key].squeeze(-1) for key in (keys.DONE, keys.TERMINATED))
         self.tally.add("reward", later[keys.REWARD])
-        for name, key in (("shaping", keys.INFO_SHAPING), ("spill", keys.INFO_SPILL)):
+        for key in (keys.INFO_COLLISION, keys.INFO_SHAPING, keys.INFO_SPILL):
             if (term := later.get(key, None)) is not None:
-                self.tally.add(name, term)
+                self.tally.add(key[-1], term)
         self.tally.add("episode_reward", later[keys.EPISODE_REWARD].mean((-2, -1)), where=done)
         self.tally.add("finished", finished.double(), where=done)
         self.curriculum.note(self.env.base_env, done, finished)

@@ -10,9 +10,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from marl_clean.world.rewards import reward_terms, spill_term
+from marl_clean.settings import PaidBy
+from marl_clean.world.rewards import collision_term, reward_terms, spill_term
 from marl_clean.world.rules import Rules
-from marl_clean.world.shared_map import spilt_record, write_records_
+from marl_clean.world.shared_map import spilt_record, union_of_maps, write_records_
 from marl_clean.world.state import State, cell_index
 
 # Change of (row, col) by action: 0 up, 1 right, 2 down, 3 left.
@@ -30,6 +31,7 @@ class Outcome(NamedTuple):
     step_term: Float[Tensor, "env agent 1"]
     cleaning_term: Float[Tensor, "env agent 1"]
     discovery_term: Float[Tensor, "env agent 1"]
+    collision_term: Float[Tensor, "env agent 1"] | None  # None without `collision_pays`
     own_reward: Float[Tensor, "env agent 1"]  # the sum of the terms
     step: Int[Tensor, " env"]
     last_progress: Int[Tensor, " env"]
@@ -78,7 +80,7 @@ def advance_(
     cell = torch.where(moved, target_cell, own_cell)
 
     now = (state.step + 1).to(state.record.dtype)[:, None]
-    held = held_records(state, target_cell)
+    held = valued_records(state, target_cell, rules)
     noticed = bumped if unnoticed is None else bumped & ~unnoticed
     spilt = spills = num_open_spilt = None
     if state.spilt is not None and state.num_open_spilt is not None:
@@ -88,8 +90,10 @@ def advance_(
     terms = reward_terms(held, now, moved, noticed, rules, spilt)
     step_term, cleaning_term, discovery_term = terms
     own_reward = step_term + cleaning_term + discovery_term
-    if spills is not None:
-        own_reward = own_reward + spills
+    collision = collision_term(collided, rules) if rules.collision_pays else None
+    for further in (collision, spills):
+        if further is not None:
+            own_reward = own_reward + further
 
     step = state.step + 1
     newly_cleaned = ~state.visited.flatten(1).gather(1, cell)
@@ -107,6 +111,7 @@ def advance_(
         step_term=step_term[..., None],
         cleaning_term=cleaning_term[..., None],
         discovery_term=discovery_term[..., None],
+        collision_term=None if collision is None else collision[..., None],
         own_reward=own_reward[..., None],
         step=step,
         last_progress=torch.where(progress, step, state.last_progress),
@@ -119,6 +124,16 @@ def advance_(
     )
     _commit_(state, outcome)
     return outcome
+
+
+def valued_records(
+    state: State, cell: Int[Tensor, "env agent"], rules: Rules
+) -> Float[Tensor, "env agent"]:
+    """Return what the map by which a step pays holds of one cell a robot (`paid_by`)."""
+    maps = state.record.flatten(2)
+    if rules.paid_by is PaidBy.OWN_MAP or maps.shape[1] == 1:
+        return held_records(state, cell)
+    return union_of_maps(maps.gather(2, cell[:, None].expand(-1, maps.shape[1], -1)))
 
 
 def held_records(state: State, cell: Int[Tensor, "env agent"]) -> Float[Tensor, "env agent"]:

@@ -1,7 +1,7 @@
 """How an episode starts: a house, places to start from, what is known of it (paper §3.4)."""
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from marl_clean.settings import LARGEST_SIDE, HouseOrder, Knowledge, Memory, Sensor, Starts
@@ -10,7 +10,7 @@ from marl_clean.world.dynamics import touch_
 from marl_clean.world.exchange import begin_exchange_
 from marl_clean.world.furniture import inside_house, shift_piece
 from marl_clean.world.random import Purpose, random_below, random_bits
-from marl_clean.world.rules import Rules
+from marl_clean.world.rules import Rules, knowledge_of_each
 from marl_clean.world.searches import UNREACHABLE
 from marl_clean.world.setup import HouseTensors, Setup
 from marl_clean.world.shared_map import MEMORISED_BLOCKED, MEMORISED_FREE, UNKNOWN_RECORD
@@ -29,9 +29,8 @@ def begin(setup: Setup, episode: Int[Tensor, " env"]) -> State:
     house = draw_house(setup, episode)
     num_envs = len(house)
     num_maps = 1 if rules.memory is Memory.SHARED else n_agents
-    record = _memorised(houses, house, rules) if rules.knowledge is not Knowledge.UNKNOWN else None
     blocked, piece = houses.blocked[house], houses.piece[house]
-    if rules.knowledge is Knowledge.STALE:
+    if Knowledge.STALE in rules.kinds_of_knowledge:
         blocked, piece = _rearranged(setup, house, episode)
     zeros = torch.zeros_like(house)
     # A tensor each, `step` and `last_progress` too: what is compiled for one in the place of two
@@ -66,8 +65,7 @@ def begin(setup: Setup, episode: Int[Tensor, " env"]) -> State:
         state.spill_steps = draw_spill_steps(setup, house, episode)
         state.spilt = torch.zeros_like(blocked)
         state.num_spilt, state.num_open_spilt = zeros.clone(), zeros.clone()
-    if record is not None:
-        state.record[:] = record[:, None]
+    _memorise_(state, houses, rules)
     if rules.sensor is Sensor.TOUCH4:
         touch_(state, rules)
     _clean_starts_(state, rules)
@@ -99,7 +97,7 @@ def draw_starts(
     n_agents = houses.starts.shape[1]
     plan_starts = houses.starts[house]
     is_planned = (plan_starts >= 0).all(-1)
-    if rules.knowledge is Knowledge.STALE:  # furniture has moved: the house's own list is stale too
+    if Knowledge.STALE in rules.kinds_of_knowledge:  # furniture has moved: the list is stale too
         cells = torch.arange(blocked[0].numel(), device=house.device)
         width = blocked.shape[2]
         row, col = cells // width - rules.margin, cells % width - rules.margin
@@ -186,14 +184,31 @@ def _rearranged(
     return blocked, piece
 
 
-def _memorised(houses: HouseTensors, house: Int[Tensor, " env"], rules: Rules) -> Tensor:
+def _memorise_(state: State, houses: HouseTensors, rules: Rules) -> None:
+    """Write the layouts that robots know into their maps: the house's as it is, or as it was."""
+    each = knowledge_of_each(rules.knowledge, rules.memory, state.n_agents)
+    for kind in (Knowledge.MEMORISED, Knowledge.STALE):
+        if kind not in each:
+            continue
+        is_stale = kind is Knowledge.STALE
+        layout = _memorised(
+            houses.blocked[state.house] if is_stale else state.blocked, state, rules
+        )
+        if each.count(kind) == state.n_agents:
+            state.record[:] = layout[:, None]
+            continue
+        for robot, known in enumerate(each):
+            if known is kind:
+                state.record[:, robot] = layout
+
+
+def _memorised(
+    blocked: Bool[Tensor, "env height width"], state: State, rules: Rules
+) -> Float[Tensor, "env height width"]:
     """Return the map of robots that know the layout, ring included, and that all is dirty."""
-    _, height, width = houses.blocked.shape
-    free = ~houses.blocked[house]
-    known = torch.where(free, MEMORISED_FREE, MEMORISED_BLOCKED)
-    matrix = inside_house(
-        houses.rows[house] + 2, houses.cols[house] + 2, height, width, rules.margin - 1
-    )
+    height, width = blocked.shape[1:]
+    known = torch.where(blocked, MEMORISED_BLOCKED, MEMORISED_FREE)
+    matrix = inside_house(state.rows + 2, state.cols + 2, height, width, rules.margin - 1)
     return torch.where(matrix, known, UNKNOWN_RECORD)
 
 

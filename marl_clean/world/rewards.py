@@ -5,8 +5,9 @@
     discovery  +2                   what is learnt differs from what the map held; of a wall
                                     `wall_pays`
 
-A robot's own reward is their sum. `held` is the record of the target cell in the map the robot
-reads, before the step; everything that several robots do at once is valued against it.
+A robot's own reward is their sum. `held` is the record of the target cell before the step, in the
+map that the robot reads or, with `paid_by=team_map`, in the union of all maps; everything that
+several robots do at once is valued against it. Collisions and spills have terms of their own.
 """
 
 import torch
@@ -66,6 +67,11 @@ def discovery_term(entered: Flag, hit: Flag, rules: Rules) -> Term:
 def spill_term(spilt: Flag, rules: Rules) -> Term:
     """Pay `spills.pays` for entering a cell that is spilt, whatever the map says of it."""
     return torch.where(spilt, rules.spills.pays, 0.0)
+
+
+def collision_term(collided: Flag, rules: Rules) -> Term:
+    """Add `collision_pays` for staying because of a robot, whatever the other terms are."""
+    return torch.where(collided, rules.collision_pays, 0.0)
 
 
 def reward_terms(

@@ -11,9 +11,12 @@ from marl_clean.settings import (
     Cases,
     Decay,
     Knowledge,
+    KnowledgeOfTeam,
     Memory,
     NonNegativeFloat,
+    NonPositiveFloat,
     ObstaclePay,
+    PaidBy,
     PositiveInt,
     Probability,
     Sensor,
@@ -44,7 +47,8 @@ class Rules:
 
     Attributes:
         memory: whose map a robot reads and writes: shared, private or merged.
-        knowledge: what the map holds at step 0: unknown, memorised or stale.
+        knowledge: what the map holds at step 0: unknown, memorised or stale; or a list of these,
+            one a robot, see `knowledge_of_each`.
         starts: where robots start that the house gives no place: on drawn cells anywhere, or
             together, one on a drawn cell and the others on the cells nearest to it on foot.
         sensor: how walls become known: bump, or touch4 (the four neighbours of every robot are
@@ -59,6 +63,11 @@ class Rules:
         stuck_after: steps without a newly cleaned cell that end an episode; None: never.
         wall_pays: what discovering a wall pays, from 0 to DISCOVERY_PAYS, which is what entering an
             unknown cell pays.
+        paid_by: whether cleaning and discovery are valued against a robot's own map or the union of
+            all robots' maps; the same under shared maps, which are one.
+        collision_pays: what each collision adds to a robot's own reward, a term of its own, at most
+            0; beside the three of the paper under both readings of `cases`.
+        robots_shown: whether other robots show in what a robot sees; its own place always does.
         shaping: w, the weight of the shaping term, which a transform adds to what robots earn where
             it is above 0; nothing in the worlds themselves depends on it.
         bump_noise: probability that a bump goes unnoticed: nothing is written, nothing paid.
@@ -75,7 +84,7 @@ class Rules:
     """
 
     memory: Memory = Memory.SHARED
-    knowledge: Knowledge = Knowledge.UNKNOWN
+    knowledge: KnowledgeOfTeam = Knowledge.UNKNOWN
     starts: Starts = Starts.ANYWHERE
     sensor: Sensor = Sensor.BUMP
     decay_steps: PositiveInt | None = 200
@@ -86,6 +95,9 @@ class Rules:
     obstacles: ObstaclePay = ObstaclePay.FIRST
     stuck_after: PositiveInt | None = 100
     wall_pays: WallPays = DISCOVERY_PAYS
+    paid_by: PaidBy = PaidBy.OWN_MAP
+    collision_pays: NonPositiveFloat = 0.0
+    robots_shown: bool = True
     shaping: NonNegativeFloat = 0.0
     bump_noise: Probability = 0.0
     spills: Spills = Spills()
@@ -112,3 +124,32 @@ class Rules:
         object.__setattr__(self, "decay_a_step", float(decay))
         object.__setattr__(self, "dirty_after", dirty_after)
         object.__setattr__(self, "uncleaned_after", uncleaned_after)
+
+    @property
+    def kinds_of_knowledge(self) -> list[Knowledge]:
+        """What is known by any robot at step 0; repeated where a list gives it to several."""
+        return [self.knowledge] if isinstance(self.knowledge, str) else self.knowledge
+
+
+def knowledge_of_each(knowledge: KnowledgeOfTeam, memory: Memory, n_agents: int) -> list[Knowledge]:
+    """Return what each of `n_agents` robots knows at step 0: the entries of a list, or one for all.
+
+    Raises:
+        BadInput: a list of another length, or of several kinds for one shared map.
+    """
+    if isinstance(knowledge, str):
+        return [knowledge] * n_agents
+    each = list(knowledge)
+    wrong = f"env.knowledge=[{', '.join(each)}]"
+    valid = f"valid: {', '.join(Knowledge)}"
+    if len(each) != n_agents:
+        raise BadInput(
+            f"{wrong}: has {len(each)} entries for env.n_agents={n_agents}; give one for each"
+            f" robot, or one value for all; {valid}"
+        )
+    if memory == Memory.SHARED and len(set(each)) > 1:
+        raise BadInput(
+            f"{wrong}: one map for all cannot be known by some robots only; set env.memory=private"
+            f" or merged, or give one value for all; {valid}"
+        )
+    return each

@@ -11,7 +11,7 @@ from marl_clean.world.rules import (
     UNKNOWN_VALUE,
     Rules,
 )
-from marl_clean.world.shared_map import UNKNOWN_RECORD, map_value
+from marl_clean.world.shared_map import UNKNOWN_RECORD, shown_value
 
 PLANES_A_SCALE = 4
 
@@ -41,7 +41,7 @@ def wide_crop(
     maps = record.flatten(2)  # one for all, or one each
     view = maps.gather(2, cell.view(num_envs, num_maps, -1)).view(cell.shape)
     now = (step + 1).to(record.dtype).view(-1, 1, 1, 1)
-    return map_value(view, now, rules)
+    return shown_value(view, now, rules)
 
 
 def coarser(
@@ -91,7 +91,7 @@ def whole_map(
     matrix = record[..., ring : ring + side, ring : ring + side]
     missing = (0, side - matrix.shape[-1], 0, side - matrix.shape[-2])
     matrix = torch.nn.functional.pad(matrix, missing, value=UNKNOWN_RECORD)
-    return map_value(matrix, (step + 1).to(record.dtype).view(-1, 1, 1, 1), rules)
+    return shown_value(matrix, (step + 1).to(record.dtype).view(-1, 1, 1, 1), rules)
 
 
 def marked(

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from marl_clean.world.dynamics import cells_beside, records_beside
 from marl_clean.world.rules import BLOCKED_VALUE, ROBOT_VALUE, Rules
-from marl_clean.world.shared_map import is_known_blocked, map_value
+from marl_clean.world.shared_map import is_known_blocked, shown_value
 from marl_clean.world.state import State, cell_index
 
 
@@ -25,7 +25,7 @@ def crop(
     """
     view = windows_around(record, position, view_size, rules.margin)
     now = (step + 1).to(record.dtype).view(-1, 1, 1, 1)
-    return map_value(view, now, rules)
+    return shown_value(view, now, rules)
 
 
 def windows_around(

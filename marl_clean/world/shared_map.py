@@ -81,6 +81,17 @@ def map_value(record: Tensor, now: Tensor, rules: Rules) -> Tensor:
     return torch.where(record == UNKNOWN_RECORD, UNKNOWN_VALUE, value)
 
 
+def shown_value(record: Tensor, now: Tensor, rules: Rules) -> Tensor:
+    """Return `map_value` as robots see it: without `robots_shown` no cell shows a robot.
+
+    The map then shows what it holds of such a cell: that it has just been cleaned.
+    """
+    value = map_value(record, now, rules)
+    if rules.robots_shown:
+        return value
+    return torch.where(value == ROBOT_VALUE, CLEANED_VALUE, value)
+
+
 def _is_touched(record: Tensor) -> Tensor:
     return record != record.floor()
 
@@ -119,8 +130,6 @@ def recency(record: Tensor) -> Tensor:
     return record.abs() * 4 + (record < 0)
 
 
-def union_of_maps(
-    record: Float[Tensor, "env map height width"],
-) -> Float[Tensor, "env height width"]:
-    """Return what the robots know between them; the measures are of this map."""
+def union_of_maps(record: Float[Tensor, "env map ..."]) -> Float[Tensor, "env ..."]:
+    """Return what the robots know between them of cells; the measures are of this map."""
     return record.gather(1, recency(record).argmax(1, keepdim=True))[:, 0]

@@ -33,7 +33,11 @@ SMALL = [
 NOISE = ["env.bump_noise=0.3", "observation.position_noise=0.3"]
 LATER = ["env.shaping=0.5", "env.wall_pays=0.5", "env.decay_steps=null", "agent.mask_walls=true"]
 SPILLS = ["env.spills.per_episode=3", "env.spills.noticed_within=2"]
-CAPTURED = ["observation=frontier", "env.memory=private", *NOISE, *LATER, *SPILLS]
+TEAM = [
+    *("env.paid_by=team_map", "env.collision_pays=-1", "env.robots_shown=false"),
+    "env.knowledge=[memorised,unknown,stale]",
+]
+CAPTURED = ["observation=frontier", "env.memory=private", *NOISE, *LATER, *SPILLS, *TEAM]
 STEP = ["env.memory=private", "env.sensor=touch4", *SPILLS]  # of the maps alone
 SIZE = re.compile(r"empty_strided_\w+\(\(([\d, ]+)\)")
 

@@ -44,6 +44,10 @@ CASES = {
     "state": [*SMALL, "agent=qmix", "reward=team"],
     "mask": [*SMALL, "agent.mask_walls=true", "env.memory=private"],
     "shaping": [*SMALL, "env.shaping=0.5", "env.memory=merged"],
+    "team": [
+        *(*SMALL, "env.memory=merged", "env.knowledge=[memorised,unknown,memorised]"),
+        *("env.paid_by=team_map", "env.collision_pays=-1", "env.robots_shown=false"),
+    ],
     "one robot": [*SMALL, "env.n_agents=1"],
 }
 

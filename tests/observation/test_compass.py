@@ -13,7 +13,6 @@ from torchrl.envs import Compose, TransformedEnv
 
 from marl_clean import keys
 from marl_clean.observation.compass import Compass
-from marl_clean.settings import Memory
 from tests.observation.plain import believed
 from tests.reference import Place, World, neighbour, neighbours
 from tests.world.play import env_of, follow, topology_of
@@ -30,10 +29,7 @@ class PlainCompass:
     def __init__(self, world: World, robot: int, noise: float, index: int) -> None:
         self.world, self.known = world, world.map_of(robot)
         self.centre = believed(world, robot, noise, index)
-        contacts = world.contacts()
-        shared = world.settings.memory is Memory.SHARED
-        others = [other for other in range(world.n_agents) if other != robot]
-        self.others = [world.positions[i] for i in others if shared or contacts[robot][i]]
+        self.others = [world.positions[other] for other in world.seen_robots(robot)]
         rows, cols = range(-1, world.rows + 1), range(-1, world.cols + 1)
         self.cells = list(product(rows, cols))
 

@@ -53,7 +53,11 @@ def train(folder, overrides, die_after: int | None = None) -> None:
     [
         ["trainer.total_frames=384"],
         ["trainer.total_frames=384", "env.memory=merged", "env.n_agents=3", "agent.augment=true"],
-        ["trainer.total_frames=384", "env.memory=private", "env.shaping=0.5"],
+        [
+            *("trainer.total_frames=384", "env.memory=private", "env.shaping=0.5"),
+            *("env.collision_pays=-1", "env.paid_by=team_map", "env.robots_shown=false"),
+            "env.knowledge=[memorised,unknown]",
+        ],
     ],
     ids=["shared", "merged", "shaped"],
 )
@@ -65,6 +69,8 @@ def test_a_killed_run_ends_as_the_uninterrupted_one(tmp_path, overrides):
     train(tmp_path / "killed", overrides)
     rows = [(tmp_path / name / "metrics.csv").read_text() for name in ("whole", "killed")]
     assert rows[0] == rows[1]
+    shaped = any("shaping" in override for override in overrides)
+    assert ("shaping" in rows[0]) == ("collision," in rows[0]) == shaped
     whole, killed = (
         Checkpoints(tmp_path / name / FOLDER).newest("final").tree for name in ("whole", "killed")
     )

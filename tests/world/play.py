@@ -68,12 +68,13 @@ def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
 
     With `whole_map` the view reaches over the whole matrix from every place in it.
     """
-    settings = cases[0].settings
+    settings, n_agents = cases[0].settings, len(cases[0].starts)
+    knowledge = settings.knowledge
     side = 2 * max(max(len(case.free), len(case.free[0])) for case in cases) + 3
     topology = topology_of(settings)
     rules = Rules(
         memory=settings.memory,
-        knowledge=settings.knowledge,
+        knowledge=knowledge if isinstance(knowledge, str) else list(knowledge[:n_agents]),
         sensor=settings.sensor,
         stuck_after=settings.stuck_after,
         decay_steps=settings.decay_steps,
@@ -83,6 +84,9 @@ def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
         cases=settings.cases,
         obstacles=settings.obstacles,
         wall_pays=float(settings.wall_pays),
+        paid_by=settings.paid_by,
+        collision_pays=float(settings.collision_pays),
+        robots_shown=settings.robots_shown,
         shaping=float(settings.shaping),
         spills=Spills(
             settings.spills,
@@ -96,7 +100,7 @@ def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
     base = CleaningEnv(
         stack(cases),
         rules,
-        n_agents=len(cases[0].starts),
+        n_agents=n_agents,
         num_envs=len(cases),
         max_steps=settings.max_steps,
         furniture_moves_per_episode=1,
@@ -141,27 +145,31 @@ def start(env: TransformedEnv, cases: list[Case]) -> TensorDictBase:
         for move, entry in enumerate(case.moves):
             moves[index, move] = torch.tensor(entry)
     base.state.furniture_moves = moves
-    if base.rules.knowledge is Knowledge.STALE:
+    if Knowledge.STALE in base.rules.kinds_of_knowledge:
         believe(base, cases)
         tensordict = env.transform._reset(tensordict.empty(), tensordict)
     return tensordict
 
 
 def believe(base: CleaningEnv, cases: list[Case]) -> None:
-    """Write the memorised layouts into the maps as `begin` writes the houses' own."""
+    """Write all maps anew as `begin` writes them, stale ones with the layouts of the cases."""
     margin, state = base.rules.margin, base.state
-    now = 1.0
     for index, case in enumerate(cases):
-        layout = torch.tensor(case.free if case.memorised is None else case.memorised)
-        rows, cols = layout.shape
-        matrix = torch.full((rows + 2, cols + 2), MEMORISED_BLOCKED)
-        matrix[1:-1, 1:-1] = torch.where(layout, MEMORISED_FREE, MEMORISED_BLOCKED)
-        state.record[index] = 0.0
+        rows, cols = len(case.free), len(case.free[0])
         ring = slice(margin - 1, margin + rows + 1), slice(margin - 1, margin + cols + 1)
-        state.record[index][:, *ring] = matrix
+        maps = state.record[index]
+        maps.fill_(0.0)
+        for whose, record in enumerate(maps):
+            knowledge = case.settings.knowledge_of(whose)
+            if knowledge is Knowledge.UNKNOWN:
+                continue
+            is_older = knowledge is Knowledge.STALE and case.memorised is not None
+            layout = torch.tensor(case.memorised if is_older else case.free)
+            record[ring] = MEMORISED_BLOCKED
+            inner = record[margin : margin + rows, margin : margin + cols]
+            inner[:] = torch.where(layout, MEMORISED_FREE, MEMORISED_BLOCKED)
         for robot, (row, col) in enumerate(case.starts):
-            whose = 0 if base.rules.memory is Memory.SHARED else robot
-            state.record[index, whose, row + margin, col + margin] = now
+            maps[min(robot, len(maps) - 1), row + margin, col + margin] = 1.0
     if base.rules.sensor is Sensor.TOUCH4:
         touch_(state, base.rules)
     if base.rules.memory is Memory.MERGED:

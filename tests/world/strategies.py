@@ -13,7 +13,7 @@ from itertools import product
 
 from hypothesis import strategies as st
 
-from marl_clean.settings import Cases, Decay, Knowledge, Memory, ObstaclePay, Sensor
+from marl_clean.settings import Cases, Decay, Knowledge, Memory, ObstaclePay, PaidBy, Sensor
 from tests.reference import (
     UNKNOWN,
     Grid,
@@ -28,6 +28,7 @@ from tests.reference import (
 
 MAX_STEPS_PLAYED = 40
 MAX_AGENTS = 6
+MOST_AGENTS = 8  # of any case: lists with an entry for each robot are as long
 LONGEST_PLAY = 100  # above every number of steps that a test plays a case for
 BUMP, SPILL = 5, 8  # of `Purpose`, by their numbers: published results hang on them
 
@@ -152,9 +153,14 @@ def houses(draw: st.DrawFn, max_pieces: int = 3) -> tuple[Grid, Pieces]:
 @st.composite
 def settings(draw: st.DrawFn) -> Settings:
     """Every reading; short decays and limits, so that 40 steps meet them."""
+    memory = draw(st.sampled_from(Memory))
+    knowledge: st.SearchStrategy = st.sampled_from(Knowledge)
+    if memory is not Memory.SHARED:
+        each = st.tuples(*[st.sampled_from(Knowledge)] * MOST_AGENTS)
+        knowledge = st.one_of(knowledge, each)
     return Settings(
-        memory=draw(st.sampled_from(Memory)),
-        knowledge=draw(st.sampled_from(Knowledge)),
+        memory=memory,
+        knowledge=draw(knowledge),
         sensor=draw(st.sampled_from(Sensor)),
         decay_steps=draw(st.one_of(st.integers(1, 16), st.sampled_from([200, None]))),
         decay=draw(st.sampled_from(Decay)),
@@ -165,6 +171,9 @@ def settings(draw: st.DrawFn) -> Settings:
         cases=draw(st.sampled_from(Cases)),
         obstacles=draw(st.sampled_from(ObstaclePay)),
         wall_pays=draw(st.sampled_from([2, 2, Fraction(1, 2), 0])),
+        paid_by=draw(st.sampled_from(PaidBy)),
+        collision_pays=draw(st.sampled_from([0, 0, Fraction(-1, 2), -3])),
+        robots_shown=draw(st.sampled_from([True, True, False])),
         shaping=draw(st.sampled_from([0, 0, Fraction(1, 2)])),
         spills=draw(st.sampled_from([0, 0, 1, 3, 8])),
         spill_size=draw(st.integers(1, 4)),
@@ -213,7 +222,7 @@ def cases(
     pieces = max(map(max, furniture))
     shift = st.tuples(st.integers(1, max(pieces, 1)), st.integers(0, 3))
     memorised = None
-    if readings.knowledge is Knowledge.STALE and pieces:
+    if readings.any_stale and pieces:
         memorised = free
         free, furniture = shifted(free, furniture, draw(st.lists(shift, min_size=3, max_size=6)))
     places = sorted(free_places(free))

@@ -14,7 +14,7 @@ from marl_clean.settings import Knowledge, Memory, Sensor
 from marl_clean.world.sensing import crossed_cells
 from tests.reference import Settings, World
 from tests.world.play import env_of, start
-from tests.world.strategies import Case, cases, settings
+from tests.world.strategies import MOST_AGENTS, Case, cases, settings
 
 EXAMPLES = 100
 
@@ -38,9 +38,12 @@ def assert_same_outcome(tensordict, env, index: int, world: World, outcome) -> N
     assert state.bumped[index].tolist() == outcome.bumped
     assert state.collided[index].tolist() == outcome.collided
     assert state.newly_cleaned[index].tolist() == outcome.newly_cleaned
-    shaping = [(keys.INFO_SHAPING, outcome.shaping)] if world.settings.shaping else []
-    spills = [(keys.INFO_SPILL, outcome.spill)] if world.settings.spills else []
+    readings = world.settings
+    collision = [(keys.INFO_COLLISION, outcome.collision)] if readings.collision_pays else []
+    shaping = [(keys.INFO_SHAPING, outcome.shaping)] if readings.shaping else []
+    spills = [(keys.INFO_SPILL, outcome.spill)] if readings.spills else []
     for key, expected in (
+        *collision,
         *shaping,
         *spills,
         (keys.INFO_STEP, outcome.step),
@@ -94,7 +97,7 @@ def _carry(tensordict, after):
 
 
 @pytest.mark.slow
-@given(case=cases(), whole_map=st.booleans())
+@given(case=cases(max_agents=MOST_AGENTS), whole_map=st.booleans())
 @hypothesis_settings(max_examples=EXAMPLES, deadline=None)
 def test_every_step_of_random_play_is_the_reference(case: Case, whole_map: bool) -> None:
     assert_same_play([case], whole_map)
@@ -119,11 +122,12 @@ def test_several_worlds_together_equal_each_alone(data: st.DataObject) -> None:
     assert_same_play([first, *others], whole_map=True)
 
 
+not_stale = st.sampled_from([Knowledge.UNKNOWN, Knowledge.MEMORISED])
 exchanging = st.builds(
     replace,
     settings(),
     memory=st.just(Memory.PRIVATE),
-    knowledge=st.sampled_from([Knowledge.UNKNOWN, Knowledge.MEMORISED]),
+    knowledge=st.one_of(not_stale, st.tuples(*[not_stale] * MOST_AGENTS)),
     exchange_cells=st.sampled_from([1, 2, 3, 8, 200]),
 )
 

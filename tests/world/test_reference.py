@@ -20,6 +20,7 @@ from marl_clean.settings import (
     Knowledge,
     Memory,
     ObstaclePay,
+    PaidBy,
     Sensor,
 )
 from tests.reference import (
@@ -332,6 +333,52 @@ class TestKnowledge:
         assert own(stale, RIGHT) == [1]  # bumps into a cell believed available
         assert own(stale, RIGHT) == [-1]
 
+    def test_each_robot_of_a_team_knows_its_own(self) -> None:
+        believed, _, _ = drawn("..A.", "....")
+        kinds = (Knowledge.UNKNOWN, Knowledge.STALE, Knowledge.MEMORISED)
+        readings = {"knowledge": kinds, "memory": Memory.PRIVATE, "paid_by": PaidBy.TEAM_MAP}
+        team = world("01.A", "2...", memorised=believed, **readings)
+        assert [known.get((0, 2)) for known in team.maps] == [
+            None,
+            Record(True, written=-1),
+            Record(False, written=-1),
+        ]
+        # Of equally old records blocked wins: the team's map is wrong where the stale one is.
+        assert own(team, LEFT, RIGHT, DOWN) == [-1, Fraction("3.4"), -1]
+
+
+class TestTeam:
+    @pytest.mark.parametrize("memory", [Memory.PRIVATE, Memory.MERGED])
+    def test_the_teams_map_pays_once(self, memory: Memory) -> None:
+        readings = {"memory": memory, "topology": "none"}
+        paid = {}
+        for paid_by in PaidBy:
+            pair = world("0..1", paid_by=paid_by, **readings)
+            pair.step([RIGHT, UP])
+            pair.step([LEFT, LEFT])
+            paid[paid_by] = own(pair, UP, LEFT)
+        assert paid[PaidBy.OWN_MAP] == [1, Fraction("3.4")]
+        assert paid[PaidBy.TEAM_MAP] == [1, -1]
+
+    @pytest.mark.parametrize("cases", Cases)
+    def test_a_collision_is_paid_beside_the_other_terms(self, cases: Cases) -> None:
+        pair = world("01", "..", collision_pays=Fraction(-1, 2), cases=cases, reward="team")
+        outcome = pair.step([RIGHT, DOWN])
+        assert outcome.collision == [Fraction(-1, 2), 0]
+        assert outcome.step[0] == -1 and outcome.own_reward[0] == Fraction(-3, 2)
+        assert outcome.reward[0] == sum(outcome.own_reward)
+
+    def test_the_return_counts_collisions(self) -> None:
+        pair = world("01.", collision_pays=-3)
+        result = measures(play(pair, [[RIGHT, LEFT]]))
+        assert result["return"] == -8 and result["collisions"] == 2
+
+    def test_robots_not_shown_leave_what_the_map_holds(self) -> None:
+        pair = world("01", robots_shown=False)
+        assert pair.seen(0)[0, 0] == 1 and pair.seen(0)[0, 1] == Fraction(1, 2)
+        alone = world("01", robots_shown=False, memory=Memory.PRIVATE)
+        assert alone.seen(0)[0, 1] == Fraction(-1, 5)
+
 
 class TestTouch:
     def test_the_four_neighbours_are_known_and_dirty_from_step_0(self) -> None:
@@ -586,7 +633,8 @@ def test_robots_stay_on_distinct_free_cells_and_rewards_in_range(case: Case) -> 
         assert set(outcome.step) <= {0, -1}
         assert set(outcome.discovery) <= {0, 2, case.settings.wall_pays}
         assert all(term == 0 or 1 < term <= Fraction("2.4") for term in outcome.cleaning)
-        assert all(-1 <= reward <= Fraction("3.4") for reward in outcome.own_reward)
+        least = -1 + min(case.settings.collision_pays, 0)
+        assert all(least <= reward <= Fraction("3.4") for reward in outcome.own_reward)
         contacts = played.contacts()
         assert contacts == [list(line) for line in zip(*contacts, strict=True)]
 
@@ -605,7 +653,7 @@ def test_coverage_never_falls_without_moving_furniture(case: Case) -> None:
 @given(cases(furniture_moves=False))
 @quick
 def test_maps_hold_the_truth_unless_stale(case: Case) -> None:
-    if case.settings.knowledge is Knowledge.STALE:
+    if case.settings.any_stale:
         case = replace(case, settings=replace(case.settings, knowledge=Knowledge.UNKNOWN))
         case = replace(case, memorised=None)
     played = case.world()

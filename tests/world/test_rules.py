@@ -18,6 +18,7 @@ WRONG = {
     "decay_steps": 0,
     "wall_pays": 2.5,
     "shaping": -0.5,
+    "collision_pays": 0.5,
     "bump_noise": 1.5,
     "stuck_after": 0,
 }
