@@ -145,7 +145,7 @@ def start(env: TransformedEnv, cases: list[Case]) -> TensorDictBase:
         for move, entry in enumerate(case.moves):
             moves[index, move] = torch.tensor(entry)
     base.state.furniture_moves = moves
-    if Knowledge.STALE in base.rules.kinds_of_knowledge:
+    if any(case.memorised is not None for case in cases):
         believe(base, cases)
         tensordict = env.transform._reset(tensordict.empty(), tensordict)
     return tensordict
