@@ -11,18 +11,17 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from marl_clean import keys
+from marl_clean.env.checks import check_actions, check_rules
 from marl_clean.env.compiling import Compiling
 from marl_clean.env.frames import first_frame, next_frame
 from marl_clean.env.houses import house_tensors
 from marl_clean.env.scene import scene_of
-from marl_clean.env.specs import check_actions, make_specs
+from marl_clean.env.specs import make_specs
 from marl_clean.env.viewer import Scene, draw
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses
 from marl_clean.settings import (
     HouseOrder,
-    Knowledge,
-    Memory,
     NonNegativeInt,
     PositiveInt,
     Sensor,
@@ -35,7 +34,7 @@ from marl_clean.world.exchange import Exchange
 from marl_clean.world.furniture import move_furniture_
 from marl_clean.world.noise import unnoticed_bumps
 from marl_clean.world.random import Purpose, random_bits, seed_tensor, words_of_robots
-from marl_clean.world.rules import Rules, knowledge_of_each
+from marl_clean.world.rules import Rules
 from marl_clean.world.setup import Contact, FurnitureMoves, Setup
 from marl_clean.world.spills import spill_
 from marl_clean.world.state import State
@@ -130,21 +129,7 @@ class CleaningEnv(Compiling):
         device: torch.device | str = "cpu",
     ) -> None:
         super().__init__(device=device, batch_size=[num_envs])
-        if rules.memory is not Memory.SHARED and contact is None:
-            raise BadInput(
-                f"env.memory={rules.memory}: needs contact=, a topology's contact function"
-            )
-        if exchange is not None and rules.memory is not Memory.PRIVATE:
-            raise BadInput(
-                f"env.memory={rules.memory}: there is nothing to exchange; comm=delta needs private"
-            )
-        knowledge_of_each(rules.knowledge, rules.memory, n_agents)
-        if furniture_moves_before_start and Knowledge.STALE not in rules.kinds_of_knowledge:
-            raise BadInput(
-                f"env.furniture_moves_before_start={furniture_moves_before_start}: needs"
-                f" env.knowledge=stale, not {', '.join(rules.kinds_of_knowledge)};"
-                " no robot remembers another house"
-            )
+        check_rules(rules, n_agents, contact, exchange, furniture_moves_before_start)
         self.n_agents = n_agents
         self.num_envs = num_envs
         self.houses = houses

@@ -1,12 +1,9 @@
-"""The TorchRL specs of a `CleaningEnv`, and which actions are within them."""
+"""The TorchRL specs of a `CleaningEnv`."""
 
 import torch
-from jaxtyping import Int
-from torch import Tensor
 from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Unbounded
 
 from marl_clean import keys
-from marl_clean.errors import BadInput
 from marl_clean.world.dynamics import MOVES
 from marl_clean.world.rules import Rules
 
@@ -43,13 +40,3 @@ def make_specs(
         of_agents(reward=Unbounded(scalar)),
         Composite({name: flag.clone() for name in keys.ENDINGS}, shape=agents[:1]),
     )
-
-
-def check_actions(action: Int[Tensor, "env agent"]) -> None:
-    """Raises BadInput for an action outside MOVES; only on a CPU, where it costs no waiting."""
-    if action.device.type != "cpu" or not action.numel():
-        return
-    lowest, highest = torch.aminmax(action)
-    if lowest < 0 or highest >= len(MOVES):
-        wrong = int(lowest if lowest < 0 else highest)
-        raise BadInput(f"action {wrong}: valid: 0 up, 1 right, 2 down, 3 left")
