@@ -8,7 +8,7 @@ from omegaconf import OmegaConf
 
 from marl_clean import keys
 from marl_clean.build import make_env
-from marl_clean.commands.checks import check_all
+from marl_clean.commands.checks import check_all, check_teams
 from marl_clean.config.class_source import parameters
 from marl_clean.config.compose import compose_config
 from marl_clean.config.config_hash import config_hash
@@ -203,7 +203,9 @@ WRONG = {
 @family("settings", WRONG, fast=4)
 def test_bad_input_is_refused_in_a_line(settings: str) -> None:
     with pytest.raises(BadInput, match=WRONG[settings]) as refused:
-        check_all(compose_config(settings.split()), training=True)
+        config = compose_config(settings.split())
+        check_all(config)
+        check_teams(config)
     assert "\n" not in str(refused.value)
 
 
