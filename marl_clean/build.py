@@ -172,7 +172,8 @@ def make_encoder(cfg: DictConfig, seen: torch.Size) -> Encoder:
 def make_comm(section: DictConfig, in_features: int, seen: torch.Size) -> Comm:
     """Build a scheme for features of this length; `seen` is the shape of an observation.
 
-    A scheme that sends observations has a parameter `observed`, the number of values in one.
+    A scheme that sends or reconstructs observations has a parameter `observed`, the number of
+    values in one.
     """
     parts = {"observed": seen.numel()} if takes(section["_target_"], "observed") else {}
     return instantiate(section, in_features=in_features, **parts)

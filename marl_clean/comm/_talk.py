@@ -81,6 +81,8 @@ class Talk(NamedTuple):
             of schemes that do not attend.
         hidden: `[*B, n, remembers]`, what each robot carries to the next step; None of schemes that
             carry nothing.
+        represented: `[*B, n, represents]`, what each makes of all that it heard; None of schemes
+            that do not teach it by itself.
     """
 
     feature: Tensor
@@ -89,3 +91,4 @@ class Talk(NamedTuple):
     bits: Tensor
     attention: Tensor | None = None
     hidden: Tensor | None = None
+    represented: Tensor | None = None

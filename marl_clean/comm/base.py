@@ -98,6 +98,9 @@ class Comm(nn.Module, ABC):
         delay_steps: steps after which a message is heard, as part of the scheme.
         places: `listen` gets the senders' offsets, which robots in contact know of each other.
         remembers: numbers that each robot carries to the next step.
+        represents: length of what a robot makes of all that it heard, taught by losses of its own.
+        reconstruct, predict: weights of these, see `marl_clean.learning.representing`.
+        observed: numbers in an observation, of schemes that send or reconstruct it.
         out_features: length of the features it gives.
         joined: how features and what is heard become these, other than by the scheme itself.
     """
@@ -111,6 +114,10 @@ class Comm(nn.Module, ABC):
     delay_steps: int = 0
     places: bool = False
     remembers: int = 0
+    represents: int = 0
+    reconstruct: float = 0.0
+    predict: float = 0.0
+    observed: int = 0
 
     def __init__(self) -> None:
         super().__init__()
@@ -194,6 +201,10 @@ class Comm(nn.Module, ABC):
         """Return what each robot carries to the next step; None of schemes that carry nothing."""
         return None
 
+    def representation(self, state: Any) -> Float[Tensor, "*batch agent representation"] | None:
+        """Return what each robot makes of all that it heard, of schemes that teach it by itself."""
+        return None
+
     def attention(self, state: Any) -> Float[Tensor, "*batch head agent other"] | None:
         """Return how much each robot attended to each in the last round, where it does."""
         return None
@@ -241,8 +252,8 @@ class Comm(nn.Module, ABC):
         given = self.end(state)
         if self.joined is not None:
             given = self.joined(feature, given, hears)
-        carried = self.carry(state)
-        return Talk(given, message, reached, bits, self.attention(state), carried)
+        further = (self.attention(state), self.carry(state), self.representation(state))
+        return Talk(given, message, reached, bits, *further)
 
     def _audible(self, senders: Senders, live: Tensor, heard: Tensor) -> Senders:
         """Return where those are who are heard now, where the scheme asks for it."""

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from marl_clean.comm._receiving import sum_live_pairs
 from marl_clean.comm.base import Comm, Hearing, Scene, Senders, Width, outgoing, place_of
-from marl_clean.settings import LayerWidth
+from marl_clean.settings import LayerWidth, NonNegativeFloat
 
 MOST_POWERS = 16  # of two that are tried: enough for 2^16 robots
 
@@ -43,7 +43,8 @@ class ExpoComm(Comm):
 
     Information crosses an edge within a step, but a robot's own features only in the step after:
     what it sends is what it remembered. It begins with nothing at the start of an episode, and is
-    learnt from frames in a row.
+    learnt from frames in a row. By `reconstruct` m_i(t) is also taught to hold what i and those in
+    contact with it see, in learning alone (`marl_clean.learning.representing`).
 
     Source: arXiv 2502.19717. There robots stand in a ring by their numbers, i hears i + 2^k, and
     what one knows is with all others after about log2(n) steps. Here a robot's number means nothing
@@ -55,8 +56,10 @@ class ExpoComm(Comm):
 
     Args:
         in_features: length of the encoder's features.
+        observed: numbers in one robot's observation.
         hidden: floats in a message, which are what a robot remembers.
         peers: whom a robot writes to in a step.
+        reconstruct: weight of the loss of what is seen, from what is remembered.
         detach: a receiver's loss does not reach what the sender remembers.
         hearing: `places`, `join`: see `marl_clean.comm.base.Hearing`.
     """
@@ -64,8 +67,10 @@ class ExpoComm(Comm):
     def __init__(
         self,
         in_features: Width,
+        observed: Width,
         hidden: LayerWidth,
         peers: Literal["one", "all"],
+        reconstruct: NonNegativeFloat,
         detach: bool,
         hearing: Hearing = Hearing(),
     ) -> None:
@@ -75,6 +80,7 @@ class ExpoComm(Comm):
         self.others = nn.Linear(hidden, hidden, bias=False)
         self.place = hearing.place_layer(hidden)
         self.update = nn.GRUCell(hidden, hidden)
+        self.observed, self.reconstruct, self.represents = observed, reconstruct, hidden
         self.message_dims, self.remembers = (hidden,), hidden + 1
         self.give(in_features + hidden, in_features, hearing)
 
@@ -121,3 +127,6 @@ class ExpoComm(Comm):
 
     def carry(self, state: State) -> Float[Tensor, "*batch agent hidden"]:
         return torch.cat([state.message, state.step], dim=-1)
+
+    def representation(self, state: State) -> Float[Tensor, "*batch agent hidden"]:
+        return state.message

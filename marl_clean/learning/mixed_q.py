@@ -33,7 +33,7 @@ class MixedQ(RobotsQ):
         """Return the team's value."""
 
     def only_in_learning(self) -> dict[str, nn.Module]:
-        return {MIXER: nn.ModuleDict({"module": self.make_mixer()})}
+        return super().only_in_learning() | {MIXER: nn.ModuleDict({"module": self.make_mixer()})}
 
     def value_of(
         self,

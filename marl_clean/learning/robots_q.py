@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
 
@@ -18,6 +18,12 @@ from marl_clean.learning.acting import Greedy, entries
 from marl_clean.learning.agent import Channels
 from marl_clean.learning.deep_q import DeepQ
 from marl_clean.learning.networks import QNetwork, RobotsNetwork
+from marl_clean.learning.representing import (
+    REPRESENTATION,
+    Representation,
+    represent_loss,
+    representation_of,
+)
 from marl_clean.settings import Precision
 
 
@@ -81,8 +87,20 @@ class RobotsQ(DeepQ):
             return network.unroll(frames[keys.IS_INIT], seen, sent)
         return network(seen, sent).out
 
+    def only_in_learning(self) -> dict[str, nn.Module]:
+        part = representation_of(self.network.comm, self.num_actions)
+        return {} if part is None else {REPRESENTATION: part}
+
     def side_loss(self, frames: TensorDictBase) -> Tensor | float:
-        """Return what the scheme's own loss comes to, such as the pull of dgn's attention."""
+        """Return what the scheme's own losses come to: its pull, and what it represents."""
+        if REPRESENTATION not in self.learnt:
+            return self.pull_loss(frames)
+        part, target = self.learnt[REPRESENTATION], self.target["network"]
+        assert isinstance(part, Representation) and isinstance(target, RobotsNetwork)
+        return self.pull_loss(frames) + represent_loss(part, self.network, target, frames)[0]
+
+    def pull_loss(self, frames: TensorDictBase) -> Tensor | float:
+        """Return pull x KL(a || a') of dgn's attention a and the next frame's a'."""
         if not self.network.comm.pull:
             return 0.0
         graph = {key: frames[key] for key in keys.GRAPH if key in self.sees}

@@ -27,7 +27,7 @@ from marl_clean.testing._hearers import TALK
 from marl_clean.testing._levels import Level, Maker, maker
 from marl_clean.testing._reminded import reminded
 
-OBSERVED = 50  # numbers in an observation, for schemes that send those
+OBSERVED = 50  # numbers in an observation, for schemes that send or reconstruct those
 
 
 def check_comm(level: Level, *, compiled: bool = False, **settings: Any) -> None:
@@ -202,7 +202,9 @@ def a_batch_equals_each_world_alone(make: Maker) -> None:
 
 def bits_are_those_of_the_numbers_sent(make: Maker) -> None:
     """A robot pays for each live edge, round and number of what it sends, silence aside."""
-    _choosers.bits_are_those_sent(make_scheme(make), OBSERVED if make.takes("observed") else None)
+    comm = make_scheme(make)
+    sends_observation = make.takes("observed") and not comm.represents  # else it reconstructs it
+    _choosers.bits_are_those_sent(comm, OBSERVED if sends_observation else None)
 
 
 def nothing_crosses_an_edge_that_a_robot_does_not_choose(make: Maker) -> None:

@@ -31,6 +31,7 @@ SMALL = {
     "magic": {"signal_dim": 8, "message_dim": 16, "heads": 2, "head_dim": 8, "hidden": 24},
     "dcc": {"message_dim": 16, "heads": 2, "head_dim": 8},
     "expocomm": {"hidden": 24},
+    "masia": {"message_dim": 16, "key_dim": 8, "hidden": 24},
 }
 
 IQL = {

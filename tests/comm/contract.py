@@ -32,6 +32,7 @@ ALL: list[tuple[str, dict[str, Any]]] = [
     ("dgn", {"detach": True}),
     ("magic", {"detach": True}),
     ("dcc", {"detach": True}),
+    ("masia", {"detach": True}),
     ("expocomm", {"peers": "one"}),
     ("expocomm", {"detach": True}),
     *((level, {"places": True, "join": "residual"}) for level in TALKING),

@@ -10,6 +10,7 @@ from marl_clean.comm.base import Comm, Senders
 from marl_clean.comm.dcc import Dcc
 from marl_clean.comm.expocomm import ExpoComm
 from marl_clean.comm.magic import Magic
+from marl_clean.comm.masia import Masia
 from marl_clean.errors import BadInput
 from marl_clean.testing import ContractBroken, comm
 from marl_clean.testing._broken import Clause, require_close, require_equal, verify
@@ -132,6 +133,27 @@ def expocomm(
     return torch.cat([h, after], -1), [edges], torch.cat([after, hidden[:, -1:] + 1], -1)
 
 
+def masia(scheme: Any, h: Tensor, live: Tensor, offset: Tensor) -> tuple[Tensor, list[Edges]]:
+    robots = range(len(h))
+    message = [scheme.message(h[i]) for i in robots]
+    d, represented = scheme.sizes[0], []
+    for i in robots:
+        members = [*live[i].nonzero().flatten().tolist(), i]
+        parts = []
+        for a in members:
+            part = scheme.parts(message[a])
+            parts.append(part + scheme.place(place(offset[i, a])) if scheme.places else part)
+        attended = []
+        for asks in parts:
+            score = torch.stack([asks[:d] @ part[d : 2 * d] / d**0.5 for part in parts]).softmax(0)
+            y = sum(share * part[2 * d :] for share, part in zip(score, parts, strict=True))
+            attended.append(y.relu())
+        represented.append(scheme.represent(torch.stack(attended).mean(0)))
+    z = torch.stack(represented)
+    edges = {(i, j) for i in robots for j in live[i].nonzero().flatten().tolist()}
+    return torch.cat([h, scheme.focus(h).sigmoid() * z], -1), [edges]
+
+
 def requires(talk: Any, world: int, feature: Tensor, edges: list[Edges], scheme: Comm) -> None:
     require_close(talk.feature[world], feature, "not the equation")
     for sender in range(N_AGENTS):
@@ -203,6 +225,18 @@ def test_expocomm(places: bool, peers: str, kind: type[ExpoComm] = ExpoComm) -> 
         hidden = talk.hidden
 
 
+@pytest.mark.parametrize("places", [False, True])
+@torch.no_grad()
+def test_masia(places: bool, kind: type[Masia] = Masia) -> None:
+    scheme = make("masia", places=places)
+    scheme.__class__ = kind
+    feature, live, senders = draw(WORLDS, n_agents=N_AGENTS)
+    talk = scheme(feature, live, senders)
+    for world in range(WORLDS):
+        expected, edges = masia(scheme, feature[world], live[world], senders.offset[world])
+        requires(talk, world, expected, edges, scheme)
+
+
 def test_dcc_without_places_is_refused() -> None:
     with pytest.raises(BadInput, match=r"^comm\.places: false, but dcc .*; valid: true$"):
         make("dcc", places=False)
@@ -269,6 +303,21 @@ class FarRank(ExpoComm):
         return state._replace(writes=state.writes & scene.contact)
 
 
+class Unfocused(Masia):
+    """Takes all of the representation."""
+
+    def end(self, state):
+        return torch.cat([state.feature, state.represented], -1)
+
+
+class Deafened(Masia):
+    """Lets messages attend to those of all robots, heard or not."""
+
+    def listen(self, state, heard, live, senders, round_index):
+        everyone = torch.ones_like(live) & ~torch.eye(live.shape[-1], dtype=torch.bool)
+        return super().listen(state, heard, everyone, senders, round_index)
+
+
 @pytest.mark.parametrize(
     ("check", "wrong", "broken"),
     [
@@ -280,6 +329,8 @@ class FarRank(ExpoComm):
         (lambda kind: test_expocomm(False, "all", kind), ByNumber, "not the equation"),
         (lambda kind: test_expocomm(False, "one", kind), Forgetful, "not what is carried"),
         (lambda kind: test_expocomm(False, "all", kind), FarRank, "not the equation|edges"),
+        (lambda kind: test_masia(False, kind), Unfocused, "not the equation"),
+        (lambda kind: test_masia(False, kind), Deafened, "not the equation"),
     ],
 )
 def test_the_equations_refuse(check: Any, wrong: type, broken: str) -> None:
@@ -296,7 +347,7 @@ MAGIC = {
     "temperature": 1.0,
     "detach": False,
 }
-EXPOCOMM = {"hidden": 8, "peers": "all", "detach": False}
+EXPOCOMM = {"hidden": 8, "peers": "all", "reconstruct": 0.0, "detach": False}
 
 
 @pytest.mark.parametrize(
