@@ -28,7 +28,8 @@ def check_frames(trainer: Mapping[str, Any], num_envs: int) -> None:
             f"trainer.frames_per_batch={block}: must be a multiple of"
             f" env.num_envs={num_envs}, such as {near}"
         )
-    check_collectors(trainer.get("collectors", IN_THE_TRAINER), num_envs)
+    collectors = trainer.get("collectors", IN_THE_TRAINER)
+    check_collectors(collectors.backend, collectors.num, num_envs)
     if block % trainer.get("minibatch_frames", block):
         raise BadInput(
             f"trainer.minibatch_frames={trainer['minibatch_frames']}: must divide"
@@ -36,9 +37,8 @@ def check_frames(trainer: Mapping[str, Any], num_envs: int) -> None:
         )
 
 
-def check_collectors(collectors: Collectors, num_envs: int) -> None:
+def check_collectors(backend: str, num: int, num_envs: int) -> None:
     """Raises BadInput where worlds cannot be shared out to the collectors, or Ray is missing."""
-    backend, num = collectors.backend, collectors.num
     if backend == "none" and num != 1:
         raise BadInput(
             f"trainer.collectors.num={num}: needs trainer.collectors.backend=process or ray"
