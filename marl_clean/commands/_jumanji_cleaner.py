@@ -1,9 +1,10 @@
 """Jumanji's Cleaner, our nearest relative, timed beside our own world (an extra)."""
 
-import importlib.util
 from collections.abc import Callable
 from functools import partial
 from typing import Any
+
+from marl_clean.config.installed import is_installed
 
 
 def cleaner(num_envs: int, n_agents: int, side: int) -> Callable[[int], None] | None:
@@ -11,7 +12,7 @@ def cleaner(num_envs: int, n_agents: int, side: int) -> Callable[[int], None] | 
 
     None where Jumanji is not installed (`pip install marl-clean[benchmark]`).
     """
-    if importlib.util.find_spec("jumanji") is None:
+    if not is_installed("jumanji"):
         return None
     import jax
     from jumanji.environments import Cleaner

@@ -13,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 from marl_clean.config.class_source import constant
 from marl_clean.config.compose import has_houses
 from marl_clean.config.fitting import check_fit
+from marl_clean.config.installed import is_installed
 from marl_clean.config.levels import EXPERIMENT, level_file, level_of, rooms
 from marl_clean.config.overrides import parse_overrides
 from marl_clean.config.presets import study_of
@@ -153,7 +154,7 @@ def check_imitate(config: DictConfig) -> None:
 
 def check_optimum(config: DictConfig) -> None:
     """Raises BadInput when the proven optimum is asked for and OR-tools is not installed."""
-    if config.evaluation.get("optimum", False) and find_spec("ortools") is None:
+    if config.evaluation.get("optimum", False) and not is_installed("ortools"):
         raise BadInput(
             "evaluation.optimum=true: needs OR-tools; pip install 'marl-clean[optimum]', or leave "
             "it out"
@@ -167,7 +168,7 @@ EXTRA_LOGGERS = ("wandb", "mlflow")
 def check_loggers(config: DictConfig) -> None:
     """Raises BadInput when a logger is chosen whose package is not installed."""
     for level in EXTRA_LOGGERS:
-        if level in (config.logger or ()) and find_spec(level) is None:
+        if level in (config.logger or ()) and not is_installed(level):
             raise BadInput(
                 f"logger={level}: {level} is not installed; pip install 'marl-clean[{level}]',"
                 " or leave it out"

@@ -9,7 +9,6 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 
 from rich.console import Console
@@ -24,6 +23,7 @@ from marl_clean.commands._tune_settings import (
 )
 from marl_clean.commands.checks import check_all
 from marl_clean.config.config_hash import config_hash
+from marl_clean.config.installed import is_installed
 from marl_clean.config.levels import EXPERIMENT
 from marl_clean.config.stored import RUNS
 from marl_clean.errors import BadInput
@@ -80,7 +80,7 @@ def run(texts: Sequence[str], console: Console | None = None) -> int:
         SystemExit, KeyboardInterrupt: after a signal; the same command goes on.
     """
     plan = make_plan(texts)
-    if find_spec("optuna") is None:
+    if not is_installed("optuna"):
         raise BadInput("tune: Optuna is not installed; pip install 'marl-clean[tune]'")
     from marl_clean.commands._search import search
 

@@ -11,11 +11,11 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
 
+from marl_clean.config.installed import is_installed
 from marl_clean.errors import BadInput
 
 Task = Callable[[Sequence[str]], None]
@@ -45,7 +45,7 @@ class RayConf:
 
 def offer_ray() -> None:
     """Add the launcher `ray` to Hydra's, where Ray is installed."""
-    if find_spec("ray") is not None:
+    if is_installed("ray"):
         group = {"group": "hydra/launcher", "name": LEVEL, "provider": "marl_clean"}
         ConfigStore.instance().store(node=RayConf, **group)
 

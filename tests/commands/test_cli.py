@@ -127,7 +127,7 @@ def test_commands_that_check_are_all_that_compose() -> None:
 def test_the_optimum_without_or_tools_is_refused_before_training(
     command: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(checks, "find_spec", lambda name: None)
+    monkeypatch.setattr(checks, "is_installed", lambda name: False)
     assert cli.main([*command.split(), "evaluation.optimum=true"]) == cli.BAD_INPUT
     assert "needs OR-tools" in capsys.readouterr().err
 

@@ -245,7 +245,7 @@ def test_a_search_of_another_name_or_a_damaged_one_is_one_line(trainings, capsys
 
 def test_without_optuna_one_line_says_what_to_install(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(tune, "find_spec", lambda name: None)
+    monkeypatch.setattr(tune, "is_installed", lambda name: False)
     assert cli.main(["tune", LR]) == cli.BAD_INPUT
     assert capsys.readouterr().err.endswith("pip install 'marl-clean[tune]'\n")
     assert not list(tmp_path.iterdir())

@@ -133,7 +133,7 @@ def test_a_house_not_finished_counts_as_its_max_steps_in_the_gap() -> None:
 
 
 def test_without_or_tools_the_optimum_is_bad_input_before_any_episode(monkeypatch) -> None:
-    monkeypatch.setattr(checks, "find_spec", lambda name: None)
+    monkeypatch.setattr(checks, "is_installed", lambda name: False)
     with pytest.raises(BadInput, match=r"evaluation.optimum=true.*marl-clean\[optimum\]"):
         checks.check_optimum(compose_config(["evaluation.optimum=true"]))
     checks.check_optimum(compose_config([]))

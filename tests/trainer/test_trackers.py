@@ -146,6 +146,6 @@ def test_a_resumed_run_keeps_its_id_and_a_new_one_gets_another(tmp_path: Path) -
 def test_a_tracker_that_is_not_installed_is_one_line(
     level: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(checks, "find_spec", lambda name: None if name == level else True)
+    monkeypatch.setattr(checks, "is_installed", lambda name: name != level)
     with pytest.raises(BadInput, match=f"logger={level}: {level} is not installed; pip install"):
         checks.check_loggers(compose_config([f"logger=[csv,{level}]"]))
