@@ -20,6 +20,7 @@ from rich.console import Console
 from marl_clean.commands._ending import Ending, print_endings
 from marl_clean.commands._job import KILLED, MOST_DEATHS, note_failure, train_job
 from marl_clean.commands._live import Watch, labels_of
+from marl_clean.commands._stopping import workers_end_too
 from marl_clean.commands.checks import check_all
 from marl_clean.commands.run_info import FAILED, LOG, is_finished
 from marl_clean.config.config_hash import config_hash
@@ -136,7 +137,8 @@ def run_missing(jobs: Sequence[Job], of_hydra: Sequence[Override]) -> None:
     while left:
         began = time.time() - CLOCK_SECONDS
         try:
-            errors = launch(task, [job.settings for job in left], of_hydra)
+            with workers_end_too([job.folder for job in left]):
+                errors = launch(task, [job.settings for job in left], of_hydra)
         except BadInput:
             raise
         except Exception as error:  # of the launcher, whose libraries raise what they like
