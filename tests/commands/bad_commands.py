@@ -76,7 +76,7 @@ MORE_BAD_COMMANDS = {
     "headroom headroom.reaches=[wide]": "headroom.reaches: must be a list",
     "headroom headroom.reaches=[]": "headroom.reaches",
     "headroom headroom.losses=[1.5]": "headroom.losses",
-    "headroom headroom.sides=[3]": "headroom: 3x3, 2 robots: house.rows",
+    "headroom headroom.sides=[3]": "headroom: 3x3, 2 robots: house: in 100 draws",
     "headroom env.n_agents=4": "env.n_agents: headroom plays all that it compares; give headroom.",
     "headroom env.memory=merged": "env.memory: headroom plays all that it compares; leave it out",
     "headroom planner=spiral": "planner=spiral: has no targets to assign; valid: nearest_unknown",
