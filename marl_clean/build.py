@@ -21,8 +21,8 @@ from marl_clean.encoder.base import Encoder
 from marl_clean.env.action_mask import KnownWalls
 from marl_clean.env.channel_seed import ChannelSeed
 from marl_clean.env.cleaning import CleaningEnv
+from marl_clean.env.for_schemes import asked_of_env, reach_cells
 from marl_clean.env.global_state import GlobalState
-from marl_clean.env.offsets import Offsets
 from marl_clean.env.shaping import Potential, Shaping
 from marl_clean.env.transformed import TransformedWorlds
 from marl_clean.errors import BadInput
@@ -70,7 +70,8 @@ def make_env(
         never_stuck: without truncation when nothing new is cleaned, as in evaluation.
         first_env: index of the first world; what is drawn in a world depends on its index.
         seeded: frames hold draws for channels, whether or not the config's channel draws.
-        shaped: robots are paid for `env.shaping`; evaluation, which ignores pay, goes without.
+        shaped: robots are paid for `env.shaping`, and frames hold what messages are grounded in;
+            evaluation goes without.
     """
     if not has_houses(cfg):
         return make_task(cfg, num_envs, first_env)
@@ -82,7 +83,7 @@ def make_env(
     env = instantiate(
         cfg.env,
         houses=training_houses(cfg) if houses is None else houses,
-        margin=max(1, observation.reach_cells),
+        margin=max(1, observation.reach_cells, reach_cells(cfg.comm)),
         house_order=house_order,
         contact=topology.contact,
         exchange=exchange_of(cfg.comm),
@@ -96,8 +97,7 @@ def make_env(
         further.append(GlobalState())
     if cfg.agent.get("mask_walls", False):
         further.append(KnownWalls())
-    if cfg.comm.get("places", False):
-        further.append(Offsets())
+    further += asked_of_env(cfg.comm, learning=shaped)
     weight = env.rules.shaping if shaped else 0.0
     if weight:
         further.append(Potential())

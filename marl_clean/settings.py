@@ -284,6 +284,15 @@ class Root(TypedDict):
     out: str | None
 
 
+@dataclass(frozen=True)
+class Ground:
+    """Weights of losses that ground messages, and whether messages learn from these alone."""
+
+    sender_map: NonNegativeFloat = 0.0
+    missing: NonNegativeFloat = 0.0
+    only: bool = False
+
+
 class StudyRule(TypedDict, total=False):
     """An acceptance rule of a study: which number of an arm has to lie on which side of a bound.
 

@@ -18,6 +18,7 @@ from marl_clean.encoder.base import Encoder
 from marl_clean.learning import acting
 from marl_clean.learning.acting import Greedy, entries
 from marl_clean.learning.agent import Agent, Channels, Count
+from marl_clean.learning.grounding import ground_loss, grounding_of, load_state_of, state_of
 from marl_clean.learning.losses import DISTANCES, margin_loss
 from marl_clean.learning.networks import NUM_ACTIONS, QNetwork, noisy_parts, set_noise
 from marl_clean.learning.schedules import Discount, Epsilon, linear, set_step_size
@@ -93,8 +94,10 @@ class Pqn(Agent):
         self.exploring = Epsilon(eps_init, eps_end, annealing_fraction)
         network = QNetwork(encoder, comm, dueling, precision, num_actions, channels, mask_walls)
         self.network = network.to(device).eval()
+        self.grounding = grounding_of(self.network.comm, device)
         self._noisy = noisy_parts(self.network)
-        self._parameters = list(self.network.parameters())
+        learnt = (self.network, *filter(None, [self.grounding]))
+        self._parameters = [weight for module in learnt for weight in module.parameters()]
         self._optimiser = torch.optim.RAdam(self._parameters, lr=lr, eps=radam_eps)
 
     @property
@@ -114,7 +117,10 @@ class Pqn(Agent):
     def _seen_again(self) -> Sequence[NestedKey]:
         """The entries of each frame that every epoch uses."""
         begins = (keys.IS_INIT,) if self.unrolls else ()
-        return (*self.network.sees, keys.ACTION, *begins, *self.shows)
+        sees = self.network.sees
+        grounded_in = () if self.grounding is None else self.grounding.sees
+        beside = (key for key in grounded_in if key not in sees)
+        return (*sees, keys.ACTION, *begins, *self.shows, *beside)
 
     def policy(self) -> Greedy:
         return Greedy(self.network, self.n_agents, records_messages=True).eval()
@@ -196,19 +202,25 @@ class Pqn(Agent):
     def update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Make one step of RAdam on a minibatch: frames, or rows `[env, time]` if it unrolls."""
         set_noise(self._noisy, True)
-        loss = self.loss(batch)
+        grounded, measures = ground_loss(self.grounding, self.network, batch)
+        loss = self.loss(batch) + grounded
         self._optimiser.zero_grad()
         loss.backward()
         grad_norm = nn.utils.clip_grad_norm_(self._parameters, self.max_grad_norm)
         self._optimiser.step()
         set_noise(self._noisy, False)
-        return {"loss": loss.detach(), "grad_norm": grad_norm}
+        return {"loss": loss.detach(), "grad_norm": grad_norm, **measures}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the network's weights and RAdam's moments."""
-        return {"network": self.network.state_dict(), "optimiser": self._optimiser.state_dict()}
+        """Return the weights and RAdam's moments."""
+        return {
+            "network": self.network.state_dict(),
+            **state_of(self.grounding),
+            "optimiser": self._optimiser.state_dict(),
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume exactly from a state of `state_dict`."""
         self.network.load_state_dict(state["network"])
+        load_state_of(self.grounding, state)
         self._optimiser.load_state_dict(state["optimiser"])

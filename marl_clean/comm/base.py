@@ -13,6 +13,7 @@ from marl_clean.comm._join import Join
 from marl_clean.comm._receiving import attend, masked_softmax, nearest_live, sum_live
 from marl_clean.comm._senders import PLACE, Senders, place_of, with_places
 from marl_clean.comm._talk import Delivery, Direct, Scene, Talk
+from marl_clean.settings import Ground
 
 __all__ = [
     "BITS_PER_FLOAT",
@@ -20,6 +21,7 @@ __all__ = [
     "Delivery",
     "Direct",
     "NoisyWhileLearning",
+    "PLACE",
     "Hearing",
     "Scene",
     "Senders",
@@ -56,10 +58,13 @@ class Hearing:
     Attributes:
         places: a hearer joins each message with e_ij = (row, col, |row|, |col|) / 10 of its sender.
         join: what becomes of the hearer's features, see `Join`; `concat`: what the scheme gives.
+        ground: weights of losses on messages, for learners: see `marl_clean.learning.grounding`;
+            with `only` receivers' losses do not reach messages.
     """
 
     places: bool = False
     join: Literal["concat", "residual", "gated"] = "concat"
+    ground: Ground = Ground()
 
     @property
     def place_numbers(self) -> int:
@@ -102,6 +107,7 @@ class Comm(nn.Module, ABC):
         reconstruct, predict: weights of these, see `marl_clean.learning.representing`.
         observed: numbers in an observation, of schemes that send or reconstruct it.
         out_features: length of the features it gives.
+        ground: as in `Hearing`.
         joined: how features and what is heard become these, other than by the scheme itself.
     """
 
@@ -121,6 +127,7 @@ class Comm(nn.Module, ABC):
 
     def __init__(self) -> None:
         super().__init__()
+        self.ground = Ground()
         self.joined: Join | None = None  # of this object: a class's would hide the module
 
     def give(self, width: int, in_features: int, hearing: Hearing) -> None:
@@ -128,7 +135,7 @@ class Comm(nn.Module, ABC):
 
         By `hearing.join` these are the scheme's features, or join those it took, of `in_features`.
         """
-        self.places = hearing.places
+        self.places, self.ground = hearing.places, hearing.ground
         if hearing.join == "concat":
             self.out_features = width
         else:
@@ -244,7 +251,8 @@ class Comm(nn.Module, ABC):
             sent.append(message)
             edges.append(reached)
             bits = bits + price * self.numbers(round_index) * reached
-            heard, live = delivery(message, round_index, chosen)
+            sent_on = message.detach() if self.ground.only else message
+            heard, live = delivery(sent_on, round_index, chosen)
             hears = hears | live.any(-1)
             audible = self._audible(senders, adjacency & live, heard)
             state = self.listen(state, heard, live, audible, round_index)

@@ -98,6 +98,7 @@ COLUMNS = (  # of metrics.csv, beside those of validation
     *("reward", "episode_reward", "shaping", "collision", "spill", "updates", "epsilon", "gamma"),
     "stage",
     *("loss", "loss_critic", "grad_norm", "entropy", "kl_approx", "clip_fraction", "imitation"),
+    *("ground_sender_map", "ground_missing"),
 )
 HIGHER_IS_BETTER = (
     *("finished", "coverage", "coverage_auc", "return", "reward", "episode_reward"),
@@ -107,6 +108,7 @@ LOWER_IS_BETTER = (
     *(name for name in MEASURES if name.startswith(("T_", "ratio_")) or "_per_cell" in name),
     *("redundancy", "overlap", "balance", "bumps", "collisions", "spill_delay"),
     *("messages", "edges", "bits", "rounds", "loss", "loss_critic"),
+    *("ground_sender_map", "ground_missing"),
 )
 
 

@@ -15,6 +15,7 @@ LATER: dict[str, Any] = {
     "encoder.norm": "none",
     "comm.places": False,
     "comm.join": "concat",
+    "comm.ground": {"sender_map": 0.0, "missing": 0.0, "only": False},
     "env.starts": "anywhere",
     "env.wall_pays": 2.0,
     "env.shaping": 0.0,

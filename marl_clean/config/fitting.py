@@ -56,9 +56,31 @@ def check_fit(config: DictConfig) -> None:
     if config.comm.get("places", False) and not takes(targets["env"], "houses"):
         env = f"env={level_of(targets['env'])} has no positions"
         raise BadInput(f"comm.places=true: {env}; valid: false")
+    _check_ground(config, targets)
     if config.agent.get("critic") == "state" and not takes(targets["env"], "houses"):
         env = f"env={level_of(targets['env'])} shows no true state"
         raise BadInput(f"agent.critic=state: {env}; valid: local, robots, null")
+
+
+def _check_ground(config: DictConfig, targets: dict[str, str]) -> None:
+    """Raises BadInput where messages cannot be learnt from what the env or the learner has."""
+    ground = config.comm.get("ground", {})
+    weights = [name for name in ("sender_map", "missing") if ground.get(name, 0) > 0]
+    if ground.get("only", False) and not weights:
+        raise BadInput(
+            "comm.ground.only=true: messages learn from nothing then; valid: false, or"
+            " comm.ground.sender_map or comm.ground.missing above 0"
+        )
+    if not weights:
+        return
+    key = f"comm.ground.{weights[0]}={ground[weights[0]]}"
+    if not takes(targets["env"], "houses"):
+        raise BadInput(f"{key}: env={level_of(targets['env'])} has no maps; valid: 0")
+    if "missing" in weights and config.env.memory != "private":
+        raise BadInput(
+            f"comm.ground.missing={ground['missing']}: under env.memory={config.env.memory} robots"
+            " in contact miss nothing of each other's; valid: 0, or env.memory=private"
+        )
 
 
 def encoders_of(form: Form) -> list[str]:

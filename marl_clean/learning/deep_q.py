@@ -102,14 +102,14 @@ class DeepQ(Agent):
         device: torch.device | str = "cpu",
     ) -> None:
         self.discount = Discount(gamma, gamma_end, gamma_rises_with)
-        self.gamma, self.n_steps = gamma, n_steps
+        self.gamma, self.n_steps, self.state_shape = gamma, n_steps, state_shape
         self.exploring = Epsilon(eps_init, eps_end, annealing_fraction)
         self.lr, self.lr_end = lr, lr_end
         self.double, self.distance, self.max_grad_norm = double, DISTANCES[loss], max_grad_norm
         self.target_update, self.tau, self.target_period = target_update, tau, target_period
         self.augment, self.messages, self.next_graph = augment, messages, next_graph
-        self.state_shape, self.mask_walls = state_shape, mask_walls
-        self.n_agents, self.num_actions, self.device = n_agents, num_actions, device
+        self.mask_walls, self.num_actions, self.device = mask_walls, num_actions, device
+        self.n_agents = n_agents
         network = self.make_network(encoder, comm, dueling, precision, channels)
         self.network = network.to(device).eval()
         if augment and self.unrolls:
@@ -131,19 +131,19 @@ class DeepQ(Agent):
         later = (*self.sees, keys.REWARD, keys.DONE, keys.TERMINATED)
         begins = (keys.IS_INIT,) if self.unrolls else ()
         sent = (keys.MESSAGE,) if self.messages == "replayed" else ()
-        return (
-            *self.sees,
-            keys.ACTION,
-            *begins,
-            *sent,
-            *self.shows,
-            *(("next", key) for key in later),
-        )
+        beside = (key for key in self.grounded_in if key not in self.sees)
+        now = (*self.sees, keys.ACTION, *begins, *sent, *self.shows, *beside)
+        return (*now, *(("next", key) for key in later))
 
     @property
     @abstractmethod
     def sees(self) -> Sequence[NestedKey]:
         """Where a frame holds what the network takes."""
+
+    @property
+    def grounded_in(self) -> Sequence[NestedKey]:
+        """Where a frame holds what messages are grounded in, if they are."""
+        return ()
 
     def measures(self) -> dict[str, float]:
         return {"epsilon": self.exploring.now, **self.moving_gamma(self.discount)}
@@ -233,14 +233,15 @@ class DeepQ(Agent):
         """Take one step of Adam on a batch of frames, then let the target network follow."""
         set_noise(self._noisy, True)
         frames = self._frames_to_learn(batch)
-        loss = self.loss(frames) + self.side_loss(frames)
+        beside, measures = self.side_loss(frames)
+        loss = self.loss(frames) + beside
         self._optimiser.zero_grad()
         loss.backward()
         grad_norm = nn.utils.clip_grad_norm_(self._parameters, self.max_grad_norm)
         self._optimiser.step()
         self._follow()
         set_noise(self._noisy, False)
-        return {"loss": loss.detach(), "grad_norm": grad_norm}
+        return {"loss": loss.detach(), "grad_norm": grad_norm, **measures}
 
     @torch.no_grad()
     def _follow(self) -> None:
@@ -265,9 +266,9 @@ class DeepQ(Agent):
                 frames["next", key] = frames[key]
         return frames
 
-    def side_loss(self, frames: TensorDictBase) -> Tensor | float:
-        """Return what is to be made small beside the temporal difference."""
-        return 0.0
+    def side_loss(self, frames: TensorDictBase) -> tuple[Tensor | float, dict[str, Tensor]]:
+        """Return what is to be made small beside the temporal difference, and measures of it."""
+        return 0.0, {}
 
     def state_dict(self) -> dict[str, Any]:
         """Return weights, target weights, Adam's moments and the target's counter."""

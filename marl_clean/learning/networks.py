@@ -1,6 +1,6 @@
 """The networks from what robots see to action values, that several learners share."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -223,19 +223,37 @@ class RobotsNetwork(nn.Module):
         What is carried comes from the first frame as it was collected, and from then on is made
         anew with the present weights; where an episode `begins` it is zeros.
         """
+        decisions = list(self._in_a_row(begins, seen, sent))
+        return torch.stack([decision.out for decision in decisions], dim=begins.ndim - 2)
+
+    def talks(self, seen: Entries, begins: Bool[Tensor, "*batch time 1"] | None = None) -> Talk:
+        """Return what is said in frames; in frames in a row, with `begins`, as `unroll` does.
+
+        Its features and attention are left out of the latter.
+        """
+        if begins is None:
+            return self(seen).talk
+        talks = [decision.talk for decision in self._in_a_row(begins, seen)]
+        sent = zip(*((t.message, t.edges, t.bits) for t in talks), strict=True)
+        message, edges, bits = (torch.stack(each, dim=begins.ndim - 2) for each in sent)
+        return Talk(message[..., :0], message, edges, bits)
+
+    def _in_a_row(
+        self, begins: Tensor, seen: Entries, sent: Tensor | None = None
+    ) -> Iterator[Decision]:
+        """The decisions of `unroll`, frame by frame."""
         feature = self.encode(seen[keys.OBSERVATION])
         time = begins.ndim - 2
         not_carried = [key for key in self.sees if key not in (keys.OBSERVATION, *self.carries)]
         carried: Entries = {key: seen[key].select(time, 0) for key in self.carries}
-        outputs = []
         for t in range(begins.shape[time]):
             if t > 0:
                 carried = _begun_anew(carried, begins.select(time, t).squeeze(-1))
             now = {**{key: seen[key].select(time, t) for key in not_carried}, **carried}
             sent_now = None if sent is None else sent.select(time, t)
-            out, _, carried = self.decide(feature.select(time, t), now, sent_now)
-            outputs.append(out)
-        return torch.stack(outputs, dim=time)
+            decision = self.decide(feature.select(time, t), now, sent_now)
+            carried = decision.carried
+            yield decision
 
     def out(
         self, feature: Float[Tensor, "*batch agent joined"]

@@ -21,7 +21,7 @@ from torchrl.objectives.value import GAE
 from marl_clean import keys
 from marl_clean.comm.base import Comm
 from marl_clean.encoder.base import Encoder
-from marl_clean.learning import acting
+from marl_clean.learning import acting, grounding
 from marl_clean.learning.acting import Greedy, Logits
 from marl_clean.learning.agent import Agent, Channels, Count
 from marl_clean.learning.critic import Critic, Knows, Values
@@ -161,7 +161,9 @@ class Ppo(Agent):
         self._advantages.set_keys(**of_values)
         self._loss.set_keys(action=keys.ACTION, sample_log_prob=keys.LOG_PROB, **of_values)
         self._noisy = noisy_parts(self.network)
-        self._parameters = [*self.network.parameters(), *self.critic.parameters()]
+        self.grounding = grounding.grounding_of(self.network.comm, device)
+        learnt = (self.network, self.critic, *filter(None, [self.grounding]))
+        self._parameters = [weight for module in learnt for weight in module.parameters()]
         self._optimiser = torch.optim.Adam(self._parameters, lr=lr, fused=True)
 
     def _drawing(self, acting: bool) -> ProbabilisticTensorDictSequential:
@@ -188,7 +190,9 @@ class Ppo(Agent):
         later = (*self.critic.sees, keys.REWARD, keys.DONE, keys.TERMINATED)
         begins = (keys.IS_INIT,) if self.unrolls else ()
         of_critic = (key for key in self.critic.sees if key not in self.network.sees)
-        now = (*self.network.sees, *of_critic, keys.ACTION, keys.LOG_PROB, *begins, *self.shows)
+        grounded_in = () if self.grounding is None else self.grounding.sees
+        beside = (*of_critic, *(key for key in grounded_in if key not in self.network.sees))
+        now = (*self.network.sees, *beside, keys.ACTION, keys.LOG_PROB, *begins, *self.shows)
         return (*now, *(("next", key) for key in later))
 
     def policy(self) -> Greedy:
@@ -208,7 +212,7 @@ class Ppo(Agent):
         return self.moving_gamma(self.discount)
 
     def anneal(self, progress: float, finished: float = 0.0) -> None:
-        """Set step size, entropy bonus and discount for the present moment of a run."""
+        """Set step size, entropy bonus and discount by a run's progress."""
         self.gamma = self.discount.at(progress, finished)
         self._advantages.gamma.fill_(self.gamma)
         set_step_size(self._optimiser, linear(self.lr, self.lr_end, progress))
@@ -258,14 +262,15 @@ class Ppo(Agent):
         set_noise(self._noisy, True)
         shown = keys.DEMONSTRATION in batch.keys(True)
         losses = self.imitation(batch) if shown else self._loss(batch)
-        loss = losses["loss_objective"] + losses["loss_entropy"] + losses["loss_critic"]
+        grounded, of_grounding = grounding.ground_loss(self.grounding, self.network, batch)
+        loss = losses["loss_objective"] + losses["loss_entropy"] + losses["loss_critic"] + grounded
         self._optimiser.zero_grad()
         loss.backward()
         grad_norm = nn.utils.clip_grad_norm_(self._parameters, self.max_grad_norm)
         self._optimiser.step()
         set_noise(self._noisy, False)
         measures = {name: losses[name].detach() for name in MEASURED if name in losses.keys()}
-        return {"loss": loss.detach(), "grad_norm": grad_norm, **measures}
+        return {"loss": loss.detach(), "grad_norm": grad_norm, **measures, **of_grounding}
 
     def imitation(self, batch: TensorDictBase) -> TensorDictBase:
         """Return the losses where a planner acted: its actions are learnt, and their returns.
@@ -284,6 +289,7 @@ class Ppo(Agent):
         """Return the weights of policy and critic, and Adam's moments."""
         return {
             "network": self.network.state_dict(),
+            **grounding.state_of(self.grounding),
             "critic": self.critic.state_dict(),
             "critic_hidden": self._critic_hidden,
             "optimiser": self._optimiser.state_dict(),
@@ -292,6 +298,7 @@ class Ppo(Agent):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume exactly from a state of `state_dict`."""
         self.network.load_state_dict(state["network"])
+        grounding.load_state_of(self.grounding, state)
         self.critic.load_state_dict(state["critic"])
         hidden = state.get("critic_hidden")
         device = next(self.critic.parameters()).device

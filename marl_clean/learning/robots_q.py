@@ -17,6 +17,7 @@ from marl_clean.learning import acting
 from marl_clean.learning.acting import Greedy, entries
 from marl_clean.learning.agent import Channels
 from marl_clean.learning.deep_q import DeepQ
+from marl_clean.learning.grounding import GROUNDING, Grounding, ground_loss, grounding_of
 from marl_clean.learning.networks import QNetwork, RobotsNetwork
 from marl_clean.learning.representing import (
     REPRESENTATION,
@@ -88,16 +89,31 @@ class RobotsQ(DeepQ):
         return network(seen, sent).out
 
     def only_in_learning(self) -> dict[str, nn.Module]:
-        part = representation_of(self.network.comm, self.num_actions)
-        return {} if part is None else {REPRESENTATION: part}
+        grounding = grounding_of(self.network.comm, self.device)
+        representing = representation_of(self.network.comm, self.num_actions)
+        parts = {GROUNDING: grounding, REPRESENTATION: representing}
+        return {name: part for name, part in parts.items() if part is not None}
 
-    def side_loss(self, frames: TensorDictBase) -> Tensor | float:
-        """Return what the scheme's own losses come to: its pull, and what it represents."""
-        if REPRESENTATION not in self.learnt:
-            return self.pull_loss(frames)
-        part, target = self.learnt[REPRESENTATION], self.target["network"]
-        assert isinstance(part, Representation) and isinstance(target, RobotsNetwork)
-        return self.pull_loss(frames) + represent_loss(part, self.network, target, frames)[0]
+    @property
+    def grounding(self) -> Grounding | None:
+        """The losses that ground messages, if they are."""
+        part = self.learnt[GROUNDING] if GROUNDING in self.learnt else None
+        assert part is None or isinstance(part, Grounding)
+        return part
+
+    @property
+    def grounded_in(self) -> Sequence[NestedKey]:
+        return () if self.grounding is None else self.grounding.sees
+
+    def side_loss(self, frames: TensorDictBase) -> tuple[Tensor | float, dict[str, Tensor]]:
+        """Return what the scheme's own losses come to: pull, representation and grounding."""
+        total, measures = ground_loss(self.grounding, self.network, frames)
+        if REPRESENTATION in self.learnt:
+            part, target = self.learnt[REPRESENTATION], self.target["network"]
+            assert isinstance(part, Representation) and isinstance(target, RobotsNetwork)
+            represented, of_part = represent_loss(part, self.network, target, frames)
+            total, measures = total + represented, measures | of_part
+        return self.pull_loss(frames) + total, measures
 
     def pull_loss(self, frames: TensorDictBase) -> Tensor | float:
         """Return pull x KL(a || a') of dgn's attention a and the next frame's a'."""

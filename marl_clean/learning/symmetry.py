@@ -18,8 +18,8 @@ MIRRORED = (0, 3, 2, 1)
 
 
 def rotate_square(
-    square: Float[Tensor, "*batch row col"], element: int
-) -> Float[Tensor, "*batch row col"]:
+    square: Num[Tensor, "*batch row col"], element: int
+) -> Num[Tensor, "*batch row col"]:
     """Return squares mirrored and rotated by one element of the group."""
     if element >= 4:
         square = square.flip(-1)
@@ -90,11 +90,16 @@ def rotate_frames_(frames: TensorDictBase) -> None:
         masks = [frames[keys.ACTION_MASK], frames["next", keys.ACTION_MASK]]
         now, then = rotate_masks_in_eighths(masks)
         frames[keys.ACTION_MASK], frames["next", keys.ACTION_MASK] = now, then
-    if keys.OFFSET in held:
+    turning = (
+        (keys.OFFSET, rotate_offset),
+        (keys.KNOWN, rotate_square),
+        (keys.MISSING, rotate_square),
+    )
+    for key, rotate in turning:
         for part in (frames, frames["next"]):
-            offset = part[keys.OFFSET]
-            eighths = enumerate(_eighths(len(offset)))
-            part[keys.OFFSET] = torch.cat([rotate_offset(offset[k], g) for g, k in eighths])
+            if (entry := part.get(key)) is not None:
+                eighths = enumerate(_eighths(len(entry)))
+                part[key] = torch.cat([rotate(entry[k], element) for element, k in eighths])
     if keys.DEMONSTRATION in held:
         planned = frames[keys.DEMONSTRATION]
         _, rotated = rotate_in_eighths([], planned.clamp(min=0))

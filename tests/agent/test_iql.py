@@ -240,7 +240,7 @@ def test_attention_is_pulled_towards_that_of_the_next_frame():
     batch = all_in_contact(6)
     plain, pulled = make_agent("dgn"), make_agent("dgn")
     pulled.network.comm.pull = 0.5
-    extra = pulled.side_loss(batch)
+    extra = pulled.pull_loss(batch)
     now, later = (
         pulled.network(entries(pulled.network, frames)).talk.attention
         for frames in (batch, batch["next"])
@@ -250,7 +250,7 @@ def test_attention_is_pulled_towards_that_of_the_next_frame():
     torch.testing.assert_close(extra, 0.5 * divergence)
     same = batch.clone()
     same["next", keys.OBSERVATION] = batch[keys.OBSERVATION].clone()
-    assert pulled.side_loss(same).item() == pytest.approx(0.0, abs=1e-6)
+    assert pulled.pull_loss(same).item() == pytest.approx(0.0, abs=1e-6)
     (grad,) = torch.autograd.grad(extra, pulled.network.comm.query[1].weight)
     assert grad.any()
     loss = plain.update(batch.clone())["loss"]

@@ -1,0 +1,32 @@
+"""The transforms that a communication scheme's settings ask for."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from marl_clean.env.known_cells import REACH_CELLS, KnownCells
+from marl_clean.env.offsets import Offsets
+from marl_clean.env.transform import WorldTransform
+
+
+def asked_of_env(comm: Mapping[str, Any], learning: bool) -> list[WorldTransform]:
+    """Return what adds the entries that a section `comm` of a config asks for.
+
+    `learning`: those too that only losses take, from which messages are learnt.
+    """
+    sender_map, missing = (learning and asks for asks in _grounds(comm))
+    transforms: list[WorldTransform] = []
+    if comm.get("places", False) or missing:
+        transforms.append(Offsets())
+    if sender_map or missing:
+        transforms.append(KnownCells(sender_map, missing))
+    return transforms
+
+
+def reach_cells(comm: Mapping[str, Any]) -> int:
+    """Return how many cells around the house these transforms read."""
+    return REACH_CELLS if any(_grounds(comm)) else 0
+
+
+def _grounds(comm: Mapping[str, Any]) -> tuple[bool, bool]:
+    ground = comm.get("ground", {})
+    return ground.get("sender_map", 0) > 0, ground.get("missing", 0) > 0
