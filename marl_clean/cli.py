@@ -133,9 +133,9 @@ def report(arguments: argparse.Namespace) -> int:
     from marl_clean.commands import study_report
 
     if (folder := study_report.folder_in(arguments.runs)) is not None:
-        study_report.main(folder, arguments.out, against=arguments.against)
+        study_report.main(folder, arguments.out, None, arguments.against, arguments.oracle)
         return 0
-    command.main(arguments.runs, arguments.out, against=arguments.against)
+    command.main(arguments.runs, arguments.out, None, arguments.against, arguments.oracle)
     return 0
 
 

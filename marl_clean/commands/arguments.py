@@ -58,12 +58,13 @@ def parser_of(name: str, does: str, shows_help: bool = False) -> Parser:
         parser.add_argument(
             "--against", metavar="ROW", help="label of the row that the others are compared with"
         )
-    if name == "compare":
+    if name in ("compare", "report"):
         named = "label of a row, or runs by folder or 'GLOB'"
-        silent = f"{named}: without messages; default: comm=none"
-        oracle = f"{named}, of any memory: with all that a message could say; adds gains"
-        parser.add_argument("--silent", metavar="ROW", help=silent)
+        oracle = f"{named}, of any memory: with all that a message could say; adds gaps to it"
         parser.add_argument("--oracle", metavar="ROW", help=oracle)
+    if name == "compare":
+        silent = f"{named}: without messages; default: comm=none"
+        parser.add_argument("--silent", metavar="ROW", help=silent)
         parser.add_argument("--export", type=Path, metavar="FOLDER", help="json, csv and LaTeX")
     if name == "matrix":
         parser.add_argument("runs", metavar="RUN", nargs="+", help="folders of runs")

@@ -10,6 +10,7 @@ from typing import Any
 from rich.console import Console
 
 from marl_clean.commands.command_line import command_line
+from marl_clean.commands.efficiency_part import EFFICIENCY, efficiency_of, to_csv, validated
 from marl_clean.commands.gathering import (
     World,
     common_prefix,
@@ -19,8 +20,8 @@ from marl_clean.commands.gathering import (
     reference_of,
     rows_of,
 )
-from marl_clean.commands.twins import add_gains
-from marl_clean.config.stored import METRICS, RUNS
+from marl_clean.commands.twins import ORACLE, add_gains, twin_of
+from marl_clean.config.stored import RUNS
 from marl_clean.errors import BadInput
 from marl_clean.evaluation import marl_eval, tidy
 from marl_clean.evaluation.flat import to_flat
@@ -33,7 +34,7 @@ from marl_clean.evaluation.row_statistics import make_statistics_table, row_stat
 from marl_clean.evaluation.table import YARDSTICK, make_table, output
 from marl_clean.storage import files
 
-VALIDATION, LATEX, FLAT = "validation/", "tables.tex", "statistics.csv"
+LATEX, FLAT = "tables.tex", "statistics.csv"
 log = logging.getLogger(__name__)
 
 
@@ -77,9 +78,9 @@ def main(
     A folder without a finished run is logged in one line and left out. `out`: where the entries are
     written as json; the rest is written beside it, as `<out>_paired.json` and
     `<out>_statistics.json`. `figure`: draw runs/figures/compare*.png and .svg. `export`: a folder
-    for tables.tex, statistics.csv, marl_eval.json and tidy.csv; `runs` may name the last two in
-    place of folders. `silent`, `oracle`: labels of rows, or runs by folder or glob, between which
-    recovered headroom and protocols are measured.
+    for tables.tex, statistics.csv, efficiency.csv, marl_eval.json and tidy.csv; `runs` may name the
+    last two in place of folders. `silent`, `oracle`: labels of rows, or runs by folder or glob,
+    between which recovered headroom and protocols are measured, and gaps to the oracle.
     Raises BadInput when no run is left, or no row is what `against`, `silent` or `oracle` names.
     """
     console = console or output()
@@ -111,23 +112,14 @@ def main(
 
 def write_exports(folder: Path, worlds: Sequence[WorldComparison]) -> list[Path]:
     """Write the exports. Raises BadInput where they cannot be written."""
-    from marl_clean.report.metrics import read_metrics
-
     measured = [item for world in worlds for item in world.measured]
-    curves: dict[Path, dict[str, Any]] = {}
-    for run in {item.folder for item in measured if item.folder is not None}:
-        if (run / METRICS).exists():
-            columns = read_metrics(run / METRICS)
-            curves[run] = {
-                name.removeprefix(VALIDATION): points
-                for name, points in columns.items()
-                if name.startswith(VALIDATION)
-            }
+    curves = validated(measured)
     texts = {
         marl_eval.NAME: marl_eval.to_marl_eval(measured, curves),
         tidy.NAME: tidy.to_tidy(measured),
         LATEX: to_latex([world.statistics for world in worlds]),
         FLAT: to_flat([row for world in worlds for row in world.statistics]),
+        EFFICIENCY: to_csv(efficiency_of(measured, curves)),
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -155,18 +147,25 @@ def compared(
         raise BadInput(
             f"compare: no finished run among {given}; give folders of {RUNS}/, or exports"
         )
-    comparisons = [comparison_of(key, world, against) for key, world in worlds.items()]
+    comparisons = [
+        comparison_of(key, world, against, oracle=oracle) for key, world in worlds.items()
+    ]
     if silent is not None or oracle is not None:
         add_gains(list(worlds.values()), [item.statistics for item in comparisons], silent, oracle)
     return comparisons
 
 
 def comparison_of(
-    key: str, world: World, against: str | None = None, measures: Sequence[str] = MEASURES
+    key: str,
+    world: World,
+    against: str | None = None,
+    measures: Sequence[str] = MEASURES,
+    oracle: str | None = None,
 ) -> WorldComparison:
     """One world's rows, compared with a reference; `measures`: those of pooled entries.
 
-    Raises BadInput where no row is `against`.
+    `oracle`: a row, or runs, to which optimality gaps are measured where the houses are the same.
+    Raises BadInput where no row is `against`, or nothing is `oracle`.
     """
     rows = rows_of(world)
     pools = {row.label: pooled(list(row.runs.values()), row.label, measures) for row in rows}
@@ -174,15 +173,16 @@ def comparison_of(
     entries.sort(key=lambda entry: entry["epsilon"] == 0)  # the planners last
     planner = world.planners.get(YARDSTICK)
     every = [*rows, *planners_of(world)]
+    best = None if oracle is None else twin_of(ORACLE, oracle, world, rows)
     measured = measured_of(key, world, rows)
     if len(rows) < 2 and against is None:
-        statistics = row_statistics(every, None)
+        statistics = row_statistics(every, None, best)
         return WorldComparison(pools, planner, entries, None, [], statistics, measured)
     reference = reference_of(world, rows, against)
     if unpaired := unpaired_seeds(rows, reference):
         listed = "; ".join(unpaired)
         log.warning("seeds that %s cannot be paired with: %s", reference.label, listed)
-    statistics = row_statistics(every, reference)
+    statistics = row_statistics(every, reference, best)
     compared = differences(rows, reference)
     return WorldComparison(pools, planner, entries, reference, compared, statistics, measured)
 
@@ -192,7 +192,7 @@ def draw(world: WorldComparison, number: int, console: Console) -> None:
     from marl_clean.report.axes import save_figure
     from marl_clean.report.comparison import draw_comparison
     from marl_clean.report.origin import Origin
-    from marl_clean.report.profiles import draw_improvement, draw_profiles
+    from marl_clean.report.profiles import draw_efficiency, draw_improvement, draw_profiles
 
     first = next(iter(world.pools.values()))
     title = f"{first['house_set']}, {first['n_agents']} robots; 95 % intervals"
@@ -203,6 +203,8 @@ def draw(world: WorldComparison, number: int, console: Console) -> None:
     }
     if world.reference is not None:
         figures["compare_improvement"] = draw_improvement(title, world.statistics)
+    if curves := efficiency_of(world.measured, validated(world.measured)):
+        figures["compare_efficiency"] = draw_efficiency(title, curves)
     hashes = [item.entry["config_hash"] for item in world.measured]
     origin = Origin(command_line(), hashes)
     for name, figure in figures.items():

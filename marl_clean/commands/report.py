@@ -39,19 +39,24 @@ def main(
     out: Path | None = None,
     console: Console | None = None,
     against: str | None = None,
+    oracle: str | None = None,
 ) -> Path:
     """Write the page of `runs` to `out`, by default runs/report.html, and return its path.
 
     Runs that are empty, unfinished, damaged or of another version are logged in a line each and
     left out.
 
-    Raises BadInput where no run is left, or no row is labelled `against`.
+    `oracle`: a row's label, or runs by folder or glob, to which optimality gaps are measured too.
+
+    Raises BadInput where no run is left, no row is labelled `against`, or nothing is `oracle`.
     """
     console = console or output()
     worlds = gather(runs)
     if not worlds:
         raise BadInput(f"report: no finished run among {', '.join(runs)}; give folders of {RUNS}/")
-    comparisons = [comparison_of(key, world, against, ON_PAGE) for key, world in worlds.items()]
+    comparisons = [
+        comparison_of(key, world, against, ON_PAGE, oracle) for key, world in worlds.items()
+    ]
     shown = dict.fromkeys(entry["policy"] for world in worlds.values() for entry in learned(world))
     title = f"{len(shown)} runs" if len(shown) != 1 else next(iter(shown))
     parts, replays = content_of(list(worlds.values()), comparisons)

@@ -55,11 +55,15 @@ def main(
     out: Path | None = None,
     console: Console | None = None,
     against: str | None = None,
+    oracle: str | None = None,
 ) -> list[Verdict]:
     """Print the rules of the study in `folder`, and write its page, by default report.html there.
 
-    Raises BadInput where the study was changed by hand, or `against` is no row.
+    Raises BadInput where the study was changed by hand, `against` is no row, or there is an
+    `oracle`, with which a page of runs measures gaps.
     """
+    if oracle is not None:
+        raise BadInput(f"--oracle {oracle}: is for a page of runs; a study's arms are in its file")
     console = console or output()
     frozen = read_frozen(folder)
     runs = runs_of(frozen)

@@ -26,6 +26,7 @@ CAPTION = (
     "{reference}, ties as half. 95 % intervals; of one seed over houses alone: then they hold for\n"
     "these weights only."
 )
+OF_ORACLE = "Gap to oracle: 1 - mean of the oracle's T_100 / T_100, ratios above 1 as 1."
 
 Runs = list[Sequence[House]]
 
@@ -145,7 +146,9 @@ def caption_of(statistics: Sequence[Mapping[str, Any]]) -> str | None:
     if "T_100" not in statistics[0]["aggregates"]:
         return None
     overs = [row["improvement"]["over"] for row in statistics if "improvement" in row]
-    return CAPTION.format(reference=overs[0] if overs else "the reference")
+    caption = CAPTION.format(reference=overs[0] if overs else "the reference")
+    to_oracle = any(TO_ORACLE in row["aggregates"] for row in statistics)
+    return f"{caption}\n{OF_ORACLE}" if to_oracle else caption
 
 
 def statistics_cells(statistics: Sequence[Mapping[str, Any]]) -> list[list[str]]:
@@ -155,7 +158,9 @@ def statistics_cells(statistics: Sequence[Mapping[str, Any]]) -> list[list[str]]
     measures = TIMES if timed else SHOWN_EXTERNAL
     titles = ["policy", "seeds"]
     titles += [title for measure in measures for title in (measure, f"IQM {measure}")]
+    to_oracle = any(TO_ORACLE in row["aggregates"] for row in statistics)
     titles += ["gap"] if timed else []
+    titles += ["gap to oracle"] if to_oracle else []
     titles += [f"P({'sooner' if timed else 'more'})"] if overs else []
     lines = [titles]
     for row in statistics:
@@ -165,6 +170,8 @@ def statistics_cells(statistics: Sequence[Mapping[str, Any]]) -> list[list[str]]
             cells += [cell_of(shown[measure]["mean"]), cell_of(shown[measure]["iqm"])]
         if timed:
             cells.append(cell_of(shown[SCORE]["optimality_gap"], 2))
+        if to_oracle:
+            cells.append(cell_of(shown[TO_ORACLE]["optimality_gap"], 2))
         if overs:
             chance = row.get("improvement", {}).get(measures[-1])
             cells.append(NONE if chance is None else cell_of(chance, 2))

@@ -8,7 +8,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from marl_clean.env.viewer import INK, ROBOTS
-from marl_clean.report.axes import LEGEND_LINE, STYLE, new_figure, row_style, seeds_label, unit
+from marl_clean.evaluation.efficiency import Curve
+from marl_clean.report.axes import (
+    LEGEND_LINE,
+    STYLE,
+    legend_below,
+    new_figure,
+    row_style,
+    seeds_label,
+    unit,
+)
 
 Row = Mapping[str, Any]  # of evaluation.row_statistics
 
@@ -60,6 +69,34 @@ def draw_improvement(title: str, rows: Sequence[Row]) -> Figure:
         names = [seeds_label(row["row"], len(row["seeds"])) for row in shown]
         panels[0].set_yticks(range(len(shown)), names)
         panels[0].set_ylim(len(shown) - 0.5, -0.5)
+        return figure
+
+
+def draw_efficiency(title: str, curves: Mapping[str, Mapping[str, Curve]]) -> Figure:
+    """A panel a measure: its interquartile mean on validation houses against frames of training.
+
+    `curves` are of each row, then of each measure. Bands are 95 % intervals over whole seeds.
+    """
+    measures = list(dict.fromkeys(name for of_row in curves.values() for name in of_row))
+    with matplotlib.rc_context(STYLE):
+        figure = new_figure(3.4 * len(measures), 3.0 + 0.2 * len(curves))
+        figure.suptitle(title, fontsize=9, x=0.01, ha="left")
+        [panels] = figure.subplots(1, len(measures), squeeze=False)
+        for axes, measure in zip(panels, measures, strict=True):
+            for place, (label, of_row) in enumerate(curves.items()):
+                if (curve := of_row.get(measure)) is None:
+                    continue
+                style, seeds = row_style(place), seeds_label(label, int(curve.seeds.max()))
+                axes.fill_between(
+                    curve.frames, curve.low, curve.high, color=style["color"], alpha=0.15
+                )
+                axes.plot(
+                    curve.frames, curve.value, **style, linewidth=1.4, marker=".", label=seeds
+                )
+            axes.set_title(f"{measure} on validation houses, IQM", loc="left")
+            axes.set_xlabel("frames")
+            axes.grid(alpha=0.25, linewidth=0.5)
+        legend_below(figure, "center")
         return figure
 
 

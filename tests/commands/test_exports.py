@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from marl_clean.commands import compare
+from marl_clean.commands.efficiency_part import efficiency_of
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.measured import Measured
 from marl_clean.evaluation.records import SHOWN, make_entry
@@ -81,6 +82,35 @@ def test_an_export_and_folders_are_compared_together(runs: list[str], tmp_path: 
     compare.main(runs[:1], None, QUIET, figure=False, export=tmp_path / "one")
     rows = compare.main([str(tmp_path / "one/tidy.csv"), runs[1]], None, QUIET, figure=False)
     assert rows[0]["policy"] == "plan-s0 (2 seeds)"
+
+
+def test_efficiency_has_the_measures_of_the_seeds_frame_by_frame(exported: Path) -> None:
+    with (exported / "efficiency.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert {line["row"] for line in lines} >= {"comm=plan", "comm=none"}
+    of_two = [line for line in lines if line["row"] == "comm=none" and line["measure"] == "T_90"]
+    assert [(line["frames"], line["seeds"]) for line in of_two] == [("100", "2"), ("200", "2")]
+    assert [float(line["iqm"]) for line in of_two] == [90.0, 70.5]
+    assert all(float(line["low"]) <= float(line["iqm"]) <= float(line["high"]) for line in of_two)
+    alone = [line for line in lines if line["row"] not in ("comm=plan", "comm=none")]
+    assert alone and all(line["low"] == "NA" and line["seeds"] == "1" for line in alone)
+
+
+def test_a_run_in_several_sets_of_houses_learns_once() -> None:
+    entry = make_entry("run", "test", "hash", 0.0, 2, [dict.fromkeys(SHOWN, 1) | {"max_steps": 9}])
+    twice = [Measured(world, "s", 0, entry, "row", folder=Path("run")) for world in "ab"]
+    curves = efficiency_of(twice, {Path("run"): {"T_90": [(100.0, 5.0)]}})
+    assert curves["row"]["T_90"].seeds.tolist() == [1]
+
+
+def test_a_damaged_log_of_training_is_left_out_in_one_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    run = write_run(tmp_path / "run", [], [40, 60])
+    (Path(run) / "metrics.csv").write_text("nothing of ours")
+    compare.main([run], None, QUIET, figure=False, export=tmp_path / "export")
+    assert (tmp_path / "export/efficiency.csv").read_text().count("\n") == 1
+    assert "left out" in caplog.text and "metrics.csv" in caplog.text
 
 
 def test_tidy_has_a_line_for_each_house_and_a_column_for_each_measure(exported: Path) -> None:
