@@ -58,7 +58,7 @@ def path_of(plan: Plan) -> Path:
 
 def measured(plan: Plan, on_progress: OnProgress | None = None) -> list[dict[str, Any]]:
     """Every play of a plan as a row."""
-    from marl_clean.evaluation.planner_play import play
+    from marl_clean.evaluation.planner_play import one_thread, play
 
     plays = []
     for planned in plan.plays:
@@ -67,7 +67,8 @@ def measured(plan: Plan, on_progress: OnProgress | None = None) -> list[dict[str
             if on_progress is not None:
                 on_progress(label, share)
 
-        records = play(planned.config, show)
+        with one_thread():
+            records = play(planned.config, show)
         plays.append(Played(planned.cell, planned.memory, planned.assignment, records))
     return rows_of(plays)
 
