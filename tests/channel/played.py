@@ -46,12 +46,13 @@ class Same(Encoder):
 
 
 class Frames(NamedTuple):
-    """Steps in a row: features, who may talk to whom, who is how near, draws."""
+    """Steps in a row: features, who may talk to whom, who is how near, draws, who is where."""
 
     feature: Tensor
     live: Tensor
     rank: Tensor
     seed: Tensor
+    offset: Tensor
 
 
 def make_channel(level: str, dims: Sequence[int], **changes: Any) -> Channel:
@@ -74,7 +75,7 @@ def frames(steps: int, *batch: int, n_agents: int, share: float = 0.5, seed: int
     generator = torch.Generator().manual_seed(seed)
     drawn = torch.randint(2**32, (steps, *batch, n_agents), generator=generator)
     feature, live, senders = draw(steps, *batch, n_agents=n_agents, share=share, seed=seed)
-    return Frames(feature, live, senders.distance_rank, drawn)
+    return Frames(feature, live, senders.distance_rank, drawn, senders.offset)
 
 
 def play(net: RobotsNetwork, inputs: Frames) -> list[Talk]:
@@ -84,8 +85,9 @@ def play(net: RobotsNetwork, inputs: Frames) -> list[Talk]:
     carried = {key: specs[key].zero(batch) for key in net.carries}
     carried = {key: c.double() if c.is_floating_point() else c for key, c in carried.items()}
     talks = []
-    for feature, live, rank, seed in zip(*inputs, strict=True):
+    for feature, live, rank, seed, offset in zip(*inputs, strict=True):
         seen = {keys.ADJACENCY: live, keys.DISTANCE_RANK: rank, keys.CHANNEL_SEED: seed}
+        seen[keys.OFFSET] = offset
         _, talk, carried = net.decide(feature, seen | carried)
         talks.append(talk)
     return talks
@@ -96,10 +98,11 @@ def features(talks: list[Talk]) -> Tensor:
 
 
 def relabelled(inputs: Frames, order: Tensor) -> Frames:
-    feature, live, rank, seed = inputs
+    feature, live, rank, seed, offset = inputs
     return Frames(
         feature[..., order, :],
         live[..., order, :][..., order],
         rank[..., order, :][..., order],
         seed[..., order],
+        offset[..., order, :, :][..., order, :],
     )

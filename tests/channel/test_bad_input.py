@@ -9,7 +9,7 @@ from tests.families import family
     [
         (["channel=lossy", "channel.lossy.loss=1.5"], "channel.lossy.loss: must be a number"),
         (["channel=quantised", "channel.quantised.bits=0"], "channel.quantised.bits: must be a"),
-        (["channel=[lossy,fog]"], "channel=[lossy,fog]: no such level; valid: budget, delayed"),
+        (["channel=[lossy,fog]"], "channel=[lossy,fog]: no such level; valid: budget, constant"),
         (["channel=[delayed,delayed]"], "channel=[delayed,delayed]: names a level twice"),
         (["channel.lossy.loss=0.5"], "lossy is not in channel=[perfect]; add it, as in channel=["),
         (

@@ -71,7 +71,8 @@ def nothing_crosses_where_no_edge_was_ever_live(comm: Comm, stack: Stack) -> Non
     so_far = inputs.live.cumsum(0) > 0
     before = features(play(net, inputs))
     sender = 0
-    deaf = ~within(so_far, comm.rounds)[..., sender]
+    hops = comm.rounds * (3 if comm.remembers else 1)  # what is remembered goes on in each step
+    deaf = ~within(so_far, hops)[..., sender]
     assert deaf[-1].any()
     feature = inputs.feature.clone().requires_grad_()
     features(play(net, inputs._replace(feature=feature)))[deaf].sum().backward()
@@ -82,7 +83,7 @@ def nothing_crosses_where_no_edge_was_ever_live(comm: Comm, stack: Stack) -> Non
     after = features(play(net, inputs._replace(feature=poisoned)))
     assert torch.equal(after[deaf], before[deaf])
     after[deaf].sum().backward()
-    untouched = ~within(so_far[-1], 2 * comm.rounds)[..., sender]
+    untouched = ~within(so_far[-1], 2 * hops)[..., sender]
     assert poisoned.grad[:, untouched].isfinite().all()
 
 
@@ -99,16 +100,16 @@ def nobody_hears_for_free(comm: Comm, stack: Stack) -> None:
     net, inputs = network(comm, stack), frames(3, 20, n_agents=5, share=0.7)
     talks = play(net, inputs)
     price = min([comm.bits_per_number, *(w.bits_per_number or 32 for w in net.stack)])
-    numbers = sum(comm.numbers(round_index) for round_index in range(comm.rounds)) / max(
-        1, comm.rounds
-    )
+    numbers = torch.tensor([comm.numbers(round_index) for round_index in range(comm.rounds)])
     for talk, live in zip(talks, inputs.live, strict=True):
         edges = talk.edges.sum(-1, keepdim=True)
-        assert torch.equal(talk.bits, price * numbers * edges)
+        cost = (price * numbers * talk.edges).sum(-1, keepdim=True)
+        torch.testing.assert_close(talk.bits, cost, atol=0, rtol=1e-12)
         assert (edges <= comm.rounds * live.sum(-2).unsqueeze(-1)).all()
-        if all(type(each).address is Channel.address for each in net.stack) and not comm.gated:
+        picks = comm.gated or comm.chooses
+        if all(type(each).address is Channel.address for each in net.stack) and not picks:
             assert torch.equal(edges, comm.rounds * live.sum(-2).unsqueeze(-1).double())
-    if comm.rounds != 1:
+    if comm.rounds != 1 or comm.remembers:
         return  # others pass on what they heard, and pay for it themselves
     before = features(talks)
     for sender in (1, 2):
@@ -142,8 +143,9 @@ def test_rounds_reach_as_many_hops_and_no_further(level: str, channel: str) -> N
         moved[:, :, sender] += 1
         after = features(play(net, inputs._replace(feature=moved)))[-1]
         changed = (after != before).any(-1).any(0)
-        assert not changed[apart[sender] > comm.rounds].any()
-        if channel in NEUTRAL:
+        hops = comm.rounds * (steps if comm.remembers else 1)
+        assert not changed[apart[sender] > hops].any()
+        if channel in NEUTRAL and not comm.chooses:
             assert changed[apart[sender] <= comm.rounds].all()
 
 
@@ -152,6 +154,8 @@ def test_rounds_reach_as_many_hops_and_no_further(level: str, channel: str) -> N
 def test_at_its_neutral_setting_a_channel_changes_nothing(level: str, channel: str) -> None:
     """In a world that stands still, seen after all delays."""
     comm = make(level)
+    if comm.remembers and channel == "delayed":
+        pytest.skip("what is remembered changes in a world that stands still, too")
     once = frames(1, 8, n_agents=4, share=0.7)
     inputs = Frames(*(x.expand(1 + comm.rounds * 2, *x.shape[1:]) for x in once))
     plain = features(play(network(comm, {}), inputs))[-1]

@@ -22,7 +22,7 @@ def cross(channels: list[Channel], inputs: Frames) -> list[tuple[Tensor, Tensor]
     heard = []
     carrying = [channel.remembers is not None for channel in channels]
     kept = [w.state_spec(n_agents, DIMS).zero(batch) for w in channels if w.remembers is not None]
-    for message, live, rank, seed in zip(*inputs, strict=True):
+    for message, live, rank, seed, _ in zip(*inputs, strict=True):
         left = iter(kept)
         states = [next(left) if carries else None for carries in carrying]
         delivery = Stacked(channels, live, rank, len(DIMS), seed, states)
@@ -42,7 +42,7 @@ def test_what_one_lets_through_comes_to_the_next(names: tuple[str, ...]) -> None
         channel.state_spec(4, DIMS).zero((4,)) if channel.remembers is not None else None
         for channel in channels
     ]
-    for message, live, rank, seed in zip(*inputs, strict=True):
+    for message, live, rank, seed, _ in zip(*inputs, strict=True):
         sent = live
         for channel in channels:
             sent = channel.address(sent, rank, len(DIMS))
