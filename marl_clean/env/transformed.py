@@ -58,7 +58,10 @@ class TransformedWorlds(TransformedEnv):
                 is_computed = transform.along
             else:
                 is_computed = isinstance(transform, RewardTransform) and along.pay is not None
-            if not is_computed:
+            if isinstance(transform, RewardSum):  # its own search for keys takes 2 % of a step
+                for paid, summed in zip(transform.in_keys, transform.out_keys, strict=True):
+                    after.set(summed, tensordict.get(summed, 0.0) + after.get(paid))
+            elif not is_computed:
                 after = transform._step(tensordict, after)
         tensordict.set("next", after)
         carried = self._step_mdp(tensordict)
