@@ -36,7 +36,7 @@ class Pqn(Agent):
     After the last step of an episode or a block, G_t+1 is max_a Q(o_t+1, a): truncated episodes are
     bootstrapped. LayerNorm (`encoder.norm=layer`) takes the place of the target network. Robots
     share their weights; messages are recomputed in the loss, so gradients cross live edges. The
-    pull of dgn's attention, and what masia and expocomm represent, is not learnt.
+    pull of dgn's attention, and masia's prediction, are not learnt.
 
     Source: PQN, arXiv 2407.04811; TorchRL's returns.
 

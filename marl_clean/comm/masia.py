@@ -34,8 +34,8 @@ class Masia(Comm):
     `places`, and is left out without.
 
     z_i is also taught by itself, in learning alone (`marl_clean.learning.representing`): by
-    `reconstruct` to hold what each robot of S_i sees, by `predict` to foretell the next frame's.
-    What learners learn it is said there.
+    `reconstruct` to hold what each robot of S_i sees, by `predict` to foretell the next frame's,
+    which iql, vdn and qmix learn, since it takes the target network.
 
     Source: Guan et al., NeurIPS 2022 (arXiv 2302.09605), and its public code. There all robots are
     heard and are a fixed number, z is side by side one part for each, the same for all robots, and

@@ -14,6 +14,7 @@ from marl_clean.comm.base import PLACE, Comm, Senders, Talk, with_places
 from marl_clean.env.known_cells import NOT_ASKED, NUM_CLASSES, SIDE
 from marl_clean.learning.acting import entries
 from marl_clean.learning.networks import RobotsNetwork
+from marl_clean.learning.representing import Reconstruction
 
 HIDDEN = 128
 GROUNDING = "grounding"  # as states of runs in progress name it
@@ -26,6 +27,7 @@ class Grounding(nn.Module):
         missing:    -log p(cell of j's map | m_j, e_ij), mean over those of the 7 x 7 cells around
                     each receiver i that i does not know itself
         p: softmax over unknown, blocked, never cleaned, cleaned, by a layer of 128 ReLUs
+        reconstruct: what robots see, of what schemes represent that do: see `Reconstruction`
 
     m_j is the message as it was sent, all rounds side by side, before any channel; e_ij says where
     j is, seen from i. Only messages count that are sent over an edge. Gradients reach message and
@@ -37,10 +39,13 @@ class Grounding(nn.Module):
     def __init__(self, comm: Comm) -> None:
         super().__init__()
         self.weights = {"sender_map": comm.ground.sender_map, "missing": comm.ground.missing}
+        if comm.represents and comm.reconstruct:
+            self.weights["reconstruct"] = comm.reconstruct
+        self.reconstruction = Reconstruction(comm) if "reconstruct" in self.weights else None
         numbers = sum(comm.message_dims[: comm.rounds])
         sizes = {"sender_map": numbers, "missing": numbers + PLACE}
         self.decoders = nn.ModuleDict(
-            {name: _decoder(sizes[name]) for name, weight in self.weights.items() if weight}
+            {name: _decoder(size) for name, size in sizes.items() if self.weights[name]}
         )
 
     @property
@@ -65,6 +70,8 @@ class Grounding(nn.Module):
             senders = Senders(frames[keys.DISTANCE_RANK], offset.to(talk.message.dtype))
             decoded = self.decoders["missing"](with_places(talk.message, senders))
             losses["missing"] = _surprise(decoded, target, asked)
+        if self.reconstruction is not None:
+            losses["reconstruct"] = self.reconstruction(talk.represented, frames)
         return losses
 
     def weighted(self, losses: dict[str, Tensor]) -> Tensor | float:
@@ -73,8 +80,9 @@ class Grounding(nn.Module):
 
 
 def grounding_of(comm: Comm, device: torch.device | str) -> Grounding | None:
-    """Return the losses that the scheme's `ground` asks for; None: none."""
-    asked = comm.ground.sender_map or comm.ground.missing
+    """Return the losses that the scheme and its `ground` ask for; None: none."""
+    reconstructs = comm.represents and comm.reconstruct
+    asked = comm.ground.sender_map or comm.ground.missing or reconstructs
     return Grounding(comm).to(device) if asked and comm.rounds else None
 
 

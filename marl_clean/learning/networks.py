@@ -229,14 +229,16 @@ class RobotsNetwork(nn.Module):
     def talks(self, seen: Entries, begins: Bool[Tensor, "*batch time 1"] | None = None) -> Talk:
         """Return what is said in frames; in frames in a row, with `begins`, as `unroll` does.
 
-        Its features and attention are left out of the latter.
+        Of the latter features, attention and what is carried are left out.
         """
         if begins is None:
             return self(seen).talk
         talks = [decision.talk for decision in self._in_a_row(begins, seen)]
         sent = zip(*((t.message, t.edges, t.bits) for t in talks), strict=True)
         message, edges, bits = (torch.stack(each, dim=begins.ndim - 2) for each in sent)
-        return Talk(message[..., :0], message, edges, bits)
+        made = [talk.represented for talk in talks if talk.represented is not None]
+        represented = torch.stack(made, dim=begins.ndim - 2) if made else None
+        return Talk(message[..., :0], message, edges, bits, represented=represented)
 
     def _in_a_row(
         self, begins: Tensor, seen: Entries, sent: Tensor | None = None

@@ -13,37 +13,28 @@ from marl_clean.learning.acting import entries
 from marl_clean.learning.networks import RobotsNetwork
 
 HIDDEN = 128
-REPRESENTATION = "representation"  # as states of runs in progress name it
+PREDICTION = "prediction"  # as states of runs in progress name it
 
 
-class Representation(nn.Module):
-    """What a representation z is taught by, in learning alone.
+class Reconstruction(nn.Module):
+    """What a representation z holds, in learning alone: what the robots see that it is made of.
 
+        loss = |D([z_i, e_ij]) - o_j|^2 / numbers in o_j, mean over i and each j of S_i
         S_i: those in contact with i, and i itself
-        reconstruct: |D([z_i, e_ij]) - o_j|^2 / numbers in o_j, mean over i and each j of S_i
-        predict:     |z_i + F([z_i, mean over j of S_i of A a_j]) - z'_i|^2 / numbers in z_i, mean
 
-    o_j is what j sees, a_j what it does. e_ij says where j is, with `comm.places`; without it D
-    gives the mean of what they see. z'_i is the target network's, of the next frame, and constant;
-    it lies n steps ahead with n-step windows, and a_j is the first of these steps'. D and F are
-    layers of 128 ReLUs. In frames in a row gradients stay in their frame.
+    o_j is what j sees. e_ij says where j is, with `comm.places`; without it D gives the mean of
+    what they see. D is a layer of 128 ReLUs.
 
-    Source: arXiv 2302.09605, without its rewards, projections and further steps; the first loss
-    also arXiv 2502.19717. There the true state is reconstructed.
+    Source: arXiv 2302.09605 and 2502.19717. There the true state is reconstructed, whose size here
+    differs between houses.
     """
 
-    def __init__(self, comm: Comm, num_actions: int) -> None:
+    def __init__(self, comm: Comm) -> None:
         super().__init__()
-        self.weights = {"reconstruct": comm.reconstruct, "predict": comm.predict}
-        self.places, self.num_actions = comm.places, num_actions
-        width = comm.represents
-        if comm.reconstruct:
-            self.decoder = _layers(width + PLACE * comm.places, comm.observed)
-        if comm.predict:
-            self.done = nn.Linear(num_actions, width)
-            self.model = _layers(2 * width, width)
+        self.places = comm.places
+        self.decoder = _layers(comm.represents + PLACE * comm.places, comm.observed)
 
-    def reconstruct(
+    def forward(
         self, represented: Float[Tensor, "*batch agent z"], frames: TensorDictBase
     ) -> Float[Tensor, ""]:
         """Return how far what is decoded is from what the robots see."""
@@ -58,7 +49,27 @@ class Representation(nn.Module):
         missed = (self.decoder(asked) - seen.unsqueeze(-3)).square().mean(-1)
         return torch.where(member, missed, 0.0).sum() / member.sum()
 
-    def foretell(
+
+class Prediction(nn.Module):
+    """What a representation z foretells, in learning alone: itself in the next frame.
+
+        loss = |z_i + F([z_i, mean over j of S_i of A a_j]) - z'_i|^2 / numbers in z_i, mean over i
+        S_i: those in contact with i, and i itself
+
+    a_j is what j does. z'_i is the target network's, of the next frame, and constant; it lies n
+    steps ahead with n-step windows, and a_j is the first of these steps'. F is a layer of 128
+    ReLUs. In frames in a row gradients stay in their frame.
+
+    Source: arXiv 2302.09605, without its rewards, projections and further steps.
+    """
+
+    def __init__(self, comm: Comm, num_actions: int) -> None:
+        super().__init__()
+        self.weight, self.num_actions = comm.predict, num_actions
+        self.done = nn.Linear(num_actions, comm.represents)
+        self.model = _layers(2 * comm.represents, comm.represents)
+
+    def forward(
         self,
         represented: Float[Tensor, "*batch agent z"],
         action: Int[Tensor, "*batch agent"],
@@ -71,28 +82,20 @@ class Representation(nn.Module):
         return represented + self.model(torch.cat([represented, done], dim=-1))
 
 
-def representation_of(comm: Comm, num_actions: int) -> Representation | None:
-    """Return what the scheme's representation is taught by; None: by nothing."""
-    taught = comm.represents and (comm.reconstruct or comm.predict)
-    return Representation(comm, num_actions) if taught else None
+def prediction_of(comm: Comm, num_actions: int) -> Prediction | None:
+    """Return what the scheme's representation foretells by; None: it need not."""
+    return Prediction(comm, num_actions) if comm.represents and comm.predict else None
 
 
-def represent_loss(
-    part: Representation, network: RobotsNetwork, target: RobotsNetwork, frames: TensorDictBase
-) -> tuple[Tensor | float, dict[str, Tensor]]:
-    """Return the weighted sum of the losses, and each for the log."""
+def predict_loss(
+    part: Prediction, network: RobotsNetwork, target: RobotsNetwork, frames: TensorDictBase
+) -> Float[Tensor, ""]:
+    """Return how far what is foretold is from what comes, without the weight."""
     now = network(entries(network, frames)).talk.represented
-    assert now is not None
-    losses = {}
-    if part.weights["reconstruct"]:
-        losses["reconstruct"] = part.reconstruct(now, frames)
-    if part.weights["predict"]:
-        with torch.no_grad():
-            then = target(entries(target, frames["next"])).talk.represented
-        foretold = part.foretell(now, frames[keys.ACTION], frames[keys.ADJACENCY])
-        losses["predict"] = functional.mse_loss(foretold, then)
-    total = sum((part.weights[name] * loss for name, loss in losses.items()), 0.0)
-    return total, {name: loss.detach() for name, loss in losses.items()}
+    with torch.no_grad():
+        then = target(entries(target, frames["next"])).talk.represented
+    foretold = part(now, frames[keys.ACTION], frames[keys.ADJACENCY])
+    return functional.mse_loss(foretold, then)
 
 
 def _members(adjacency: Bool[Tensor, "*batch agent other"]) -> Bool[Tensor, "*batch agent other"]:

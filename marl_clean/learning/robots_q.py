@@ -19,12 +19,7 @@ from marl_clean.learning.agent import Channels
 from marl_clean.learning.deep_q import DeepQ
 from marl_clean.learning.grounding import GROUNDING, Grounding, ground_loss, grounding_of
 from marl_clean.learning.networks import QNetwork, RobotsNetwork
-from marl_clean.learning.representing import (
-    REPRESENTATION,
-    Representation,
-    represent_loss,
-    representation_of,
-)
+from marl_clean.learning.representing import PREDICTION, Prediction, predict_loss, prediction_of
 from marl_clean.settings import Precision
 
 
@@ -90,8 +85,8 @@ class RobotsQ(DeepQ):
 
     def only_in_learning(self) -> dict[str, nn.Module]:
         grounding = grounding_of(self.network.comm, self.device)
-        representing = representation_of(self.network.comm, self.num_actions)
-        parts = {GROUNDING: grounding, REPRESENTATION: representing}
+        prediction = prediction_of(self.network.comm, self.num_actions)
+        parts = {GROUNDING: grounding, PREDICTION: prediction}
         return {name: part for name, part in parts.items() if part is not None}
 
     @property
@@ -106,13 +101,13 @@ class RobotsQ(DeepQ):
         return () if self.grounding is None else self.grounding.sees
 
     def side_loss(self, frames: TensorDictBase) -> tuple[Tensor | float, dict[str, Tensor]]:
-        """Return what the scheme's own losses come to: pull, representation and grounding."""
+        """Return what the scheme's own losses come to: pull, prediction and grounding."""
         total, measures = ground_loss(self.grounding, self.network, frames)
-        if REPRESENTATION in self.learnt:
-            part, target = self.learnt[REPRESENTATION], self.target["network"]
-            assert isinstance(part, Representation) and isinstance(target, RobotsNetwork)
-            represented, of_part = represent_loss(part, self.network, target, frames)
-            total, measures = total + represented, measures | of_part
+        if PREDICTION in self.learnt:
+            part, target = self.learnt[PREDICTION], self.target["network"]
+            assert isinstance(part, Prediction) and isinstance(target, RobotsNetwork)
+            loss = predict_loss(part, self.network, target, frames)
+            total, measures = total + part.weight * loss, {**measures, "predict": loss.detach()}
         return self.pull_loss(frames) + total, measures
 
     def pull_loss(self, frames: TensorDictBase) -> Tensor | float:

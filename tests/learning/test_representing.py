@@ -5,7 +5,9 @@ import torch
 
 from marl_clean import keys
 from marl_clean.learning.acting import entries
-from marl_clean.learning.representing import REPRESENTATION
+from marl_clean.learning.grounding import GROUNDING
+from marl_clean.learning.representing import PREDICTION, Reconstruction
+from marl_clean.testing import check_agent
 from tests.agent.parts import SIDE, make_agent, make_learner, transitions
 
 COUNT, N_AGENTS = 4, 3
@@ -22,7 +24,7 @@ def test_losses_are_their_equations():
     with torch.no_grad():
         for weight in agent.target.parameters():
             weight.add_(0.1 * torch.randn_like(weight))
-    part = agent.learnt[REPRESENTATION]
+    part, grounding = agent.learnt[PREDICTION], agent.learnt[GROUNDING]
     network, target = agent.network, agent.target["network"]
     z = network(entries(network, batch)).talk.represented
     then = target(entries(target, batch["next"])).talk.represented
@@ -32,23 +34,18 @@ def test_losses_are_their_equations():
         done = torch.nn.functional.one_hot(batch[keys.ACTION][world], 4).float()
         for i in range(N_AGENTS):
             around = [j for j in range(N_AGENTS) if batch[keys.ADJACENCY][world, i, j] or j == i]
-            decoded = part.decoder(z[world, i])
+            decoded = grounding.reconstruction.decoder(z[world, i])
             reconstruct += [(decoded - observed[j]).square().mean() for j in around]
             mean = torch.stack([part.done(done[j]) for j in around]).mean(0)
             foretold = z[world, i] + part.model(torch.cat([z[world, i], mean]))
             predict.append((foretold - then[world, i]).square().mean())
-    agent.network.comm.pull = 0.0
-    part.weights = {"reconstruct": 2.0, "predict": 0.5}
+    grounding.weights["reconstruct"], part.weight = 2.0, 0.5
     expected = 2 * torch.stack(reconstruct).mean() + 0.5 * torch.stack(predict).mean()
     torch.testing.assert_close(agent.side_loss(batch)[0], expected)
 
 
 def test_they_are_learnt_and_reach_the_senders():
     agent, batch = make_agent("masia", lr=1e-2, lr_end=1e-2), batch_of()
-    plain = make_agent("masia")
-    plain.learnt[REPRESENTATION].weights = {"reconstruct": 0.0, "predict": 0.0}
-    loss = plain.loss(batch)
-    torch.testing.assert_close(agent.loss(batch), loss)
     before = agent.side_loss(batch)[0]
     (grad,) = torch.autograd.grad(before, agent.network.comm.message.weight)
     assert grad.any()
@@ -58,39 +55,53 @@ def test_they_are_learnt_and_reach_the_senders():
     for _ in range(60):
         agent.update(batch.clone())
     assert agent.side_loss(batch)[0] < 0.5 * before
-    assert not any("representation" in name for name in agent.network.state_dict())
+    beside = ("decoder", "prediction", "reconstruction")
+    assert not any(part in name for name in agent.network.state_dict() for part in beside)
 
 
 def test_with_places_it_is_asked_what_the_robot_there_sees():
     agent = make_agent("masia")
     agent.network.comm.places = True
-    part = type(agent.learnt[REPRESENTATION])(agent.network.comm, 4)
+    part = Reconstruction(agent.network.comm)
     assert part.decoder[0].in_features == agent.network.comm.represents + 4
     batch = batch_of()
     z = agent.network.comm.represents
     represented = torch.randn(COUNT, N_AGENTS, z)
     offset = torch.randint(-5, 6, (COUNT, N_AGENTS, N_AGENTS, 2))
     batch[keys.OFFSET] = offset
-    loss = part.reconstruct(represented, batch)
+    loss = part(represented, batch)
     dead = ~batch[keys.ADJACENCY]
     batch[keys.OFFSET] = torch.where(dead.unsqueeze(-1), 99, offset)
-    torch.testing.assert_close(part.reconstruct(represented, batch), loss)  # dead edges are unseen
+    torch.testing.assert_close(part(represented, batch), loss)  # dead edges are unseen
     batch[keys.OFFSET] = torch.where(dead.unsqueeze(-1), offset, offset + 1)
-    assert part.reconstruct(represented, batch) != loss
+    assert part(represented, batch) != loss
 
 
-@pytest.mark.parametrize(("learner", "scheme"), [("vdn", "masia"), ("iql", "expocomm")])
-def test_a_resumed_run_has_its_decoders(learner, scheme):
+@pytest.mark.parametrize(
+    ("learner", "scheme"),
+    [("vdn", "masia"), ("iql", "expocomm"), ("pqn", "masia"), ("ippo", "expocomm")],
+)
+def test_every_learner_reconstructs_and_a_resumed_run_has_its_decoder(learner, scheme):
     agent = make_learner(learner, scheme)
-    assert agent.learnt[REPRESENTATION].decoder[-1].out_features == SIDE**2
+    decoder = agent.grounding.reconstruction.decoder
+    assert decoder[-1].out_features == SIDE**2
+    assert any(weight is decoder[0].weight for weight in agent._parameters)
     with torch.no_grad():
-        for weight in agent.learnt[REPRESENTATION].parameters():
+        for weight in decoder.parameters():
             weight.normal_()
     other = make_learner(learner, scheme)
     other.load_state_dict(agent.state_dict())
-    mine, theirs = (one.learnt[REPRESENTATION].state_dict() for one in (agent, other))
-    assert all(torch.equal(mine[name], theirs[name]) for name in mine)
+    for mine, theirs in zip(
+        agent.grounding.parameters(), other.grounding.parameters(), strict=True
+    ):
+        assert torch.equal(mine, theirs)
 
 
-def test_schemes_that_represent_nothing_have_no_such_part():
-    assert REPRESENTATION not in make_agent("plan").learnt
+@pytest.mark.parametrize("learner", ["iql", "pqn", "ippo"])
+def test_what_is_remembered_is_taught_over_frames_in_a_row(learner):
+    check_agent(learner, comm="expocomm", precision="float32")
+
+
+def test_schemes_that_represent_nothing_have_no_such_parts():
+    learnt = make_agent("plan").learnt
+    assert PREDICTION not in learnt and GROUNDING not in learnt
