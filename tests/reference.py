@@ -570,6 +570,7 @@ class World:
             if layout is not None:
                 self.free, self.furniture = layout
                 self.cleaned &= free_places(self.free)
+                self._close_spills()  # also where the piece will have gone on after its next move
 
     def _close_spills(self) -> None:
         """Nothing is spilt any more where a robot stands, or a piece of furniture does."""
