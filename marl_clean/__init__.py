@@ -21,7 +21,9 @@ __all__ = [
     "headroom",
     "load_policy",
     "make_env",
+    "study",
     "train",
+    "tune",
     "use_plugins",
 ]
 
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from marl_clean.env.cleaning import CleaningEnv
     from marl_clean.errors import BadInput
     from marl_clean.python.door import compare, evaluate, load_policy, make_env, train
+    from marl_clean.python.experiments import study, tune
     from marl_clean.python.headroom import headroom
     from marl_clean.python.run import Run
     from marl_clean.python.table import Table
@@ -39,6 +42,8 @@ else:
         "CleaningEnv": "env.cleaning",
         "Run": "python.run",
         "headroom": "python.headroom",
+        "study": "python.experiments",
+        "tune": "python.experiments",
         "Table": "python.table",
         "use_plugins": "config.locate",
         **dict.fromkeys(("compare", "evaluate", "load_policy", "make_env", "train"), "python.door"),

@@ -45,7 +45,7 @@ def parser_of(name: str, does: str, shows_help: bool = False) -> Parser:
     if name == "figure":
         parser.add_argument("name", metavar="NAME", help="the figure, such as paper_1")
     if name == "study":
-        parser.add_argument("name", metavar="NAME", help="a preset with a section `study`")
+        parser.add_argument("name", metavar="NAME", help="a preset or yaml file with a `study`")
     if name == "train":
         parser.add_argument("-m", "--multirun", action="store_true", help="all combinations")
     if name in ("compare", "report"):

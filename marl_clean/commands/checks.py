@@ -176,7 +176,7 @@ def check_loggers(config: DictConfig) -> None:
 
 
 def check_no_study(settings: Sequence[str]) -> None:
-    """Raises BadInput where settings choose a preset that is a study, which `train` cannot run."""
+    """Raises BadInput where settings choose a preset that is a study, which has arms of its own."""
     for override in parse_overrides(settings, allow_hydra=True):
         if override.key != EXPERIMENT:
             continue

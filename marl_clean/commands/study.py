@@ -1,4 +1,4 @@
-"""`marl-clean study NAME`: the arms and seeds of a preset's section `study`, as jobs of a sweep.
+"""`marl-clean study NAME|FILE.yaml`: the arms and seeds of a section `study`, as jobs of a sweep.
 
 Every config is checked and the study is frozen into its folder before the first job starts. The
 same command again does what is missing; a study that is not the frozen one is refused.
@@ -33,8 +33,10 @@ from marl_clean.config.schema import choices, mismatch
 from marl_clean.config.stored import RUNS, parsed_for_training
 from marl_clean.errors import BadInput
 from marl_clean.settings import FolderName
+from marl_clean.storage.safe_yaml import load_yaml
 
 STUDIES = RUNS / "studies"
+YAML = (".yaml", ".yml")
 FRAMES, HOUSES = "trainer.total_frames", "evaluation.houses"
 OF_THE_STUDY = {"seed": "seeds", "out": "none", "name": "none", BUDGET: "budget"}
 OF_THE_STUDY |= {FRAMES: "budget", HOUSES: "houses"}
@@ -44,26 +46,25 @@ ON_DEMAND = {"certify": "certify", "optimum_100": "optimum", "gap_100": "optimum
 def main(preset: str, settings: Sequence[str], console: Console | None = None) -> int:
     """Run what the study of `preset` lacks, and write its page; return the exit code of a sweep.
 
-    `settings` are those of all arms (`device=cuda`), Hydra's own for launching, and `name=`.
+    `preset` may be a yaml file, wherever it is, with a section `study` alone: its arms start from
+    the default config, or from presets that they name. `settings` are those of all arms
+    (`device=cuda`), Hydra's own for launching, and `name=`.
     Raises BadInput before anything is written where a setting, an arm or a rule is wrong, or the
     study is not the one that is frozen in its folder.
     """
     section = section_of(preset)
     study, rules = read_study(section)
     of_jobs, of_hydra = split(settings)
-    names = [o.value for o in of_jobs if o.key == "name" and o.value is not None]
-    name = str(names[-1]) if names else preset
-    if problem := mismatch(name, FolderName):
-        raise BadInput(f"name={name}: {problem}")
-    folder = STUDIES / name
+    folder = folder_of(preset, settings)
     common = [override for override in of_jobs if override.key != "name"]
+    start = None if preset.endswith(YAML) else preset
     jobs = {
-        arm: [job_of(preset, study, arm, seed, common, folder) for seed in study["seeds"]]
+        arm: [job_of(start, study, arm, seed, common, folder) for seed in study["seeds"]]
         for arm in study["arms"]
     }
     configs = {arm: [job.config for job in arms] for arm, arms in jobs.items()}
     check_comparable(rules, {arm: seeds[0] for arm, seeds in configs.items()})
-    now = to_freeze(preset, study, configs)
+    now = to_freeze(title_of(preset), study, configs)
     is_frozen = (folder / FROZEN).is_file()
     if is_frozen:
         check_unchanged(read_frozen(folder), now)
@@ -80,8 +81,28 @@ def main(preset: str, settings: Sequence[str], console: Console | None = None) -
     return code
 
 
+def folder_of(preset: str, settings: Sequence[str]) -> Path:
+    """The folder of a study: of the name in the settings, or the preset's or file's.
+
+    Raises BadInput where that is no name of a folder.
+    """
+    of_jobs, _ = split(settings)
+    names = [o.value for o in of_jobs if o.key == "name" and o.value is not None]
+    name = str(names[-1]) if names else title_of(preset)
+    if problem := mismatch(name, FolderName):
+        raise BadInput(f"name={name}: {problem}")
+    return STUDIES / name
+
+
+def title_of(preset: str) -> str:
+    """The name of a study: its preset's, or its file's without the ending."""
+    return Path(preset).stem if preset.endswith(YAML) else preset
+
+
 def section_of(preset: str) -> dict[str, Any]:
-    """A preset's section `study`. Raises BadInput where there is no such preset or section."""
+    """The section `study` of a preset or a yaml file. Raises BadInput where there is none."""
+    if preset.endswith(YAML):
+        return section_in(Path(preset))
     presets = levels_in(EXPERIMENT)
     if preset not in presets:
         raise BadInput(f"study {preset}: no such preset; {choices(preset, presets)}")
@@ -94,15 +115,34 @@ def section_of(preset: str) -> dict[str, Any]:
     return section
 
 
+def section_in(path: Path) -> dict[str, Any]:
+    """The section `study` of a yaml file that holds nothing else.
+
+    Raises BadInput where it cannot be read, has no such section or other keys.
+    """
+    values = load_yaml(path)
+    if not isinstance(values, dict) or not isinstance(values.get("study"), dict):
+        raise BadInput(f"study {path}: has no section `study` with arms, seeds, measure and rules")
+    if others := [str(key) for key in values if key != "study"]:
+        raise BadInput(
+            f"study {path}: {others[0]}: only a preset sets keys beside its study; give them to"
+            " the arms, as in plan: [experiment=quick, comm=plan]"
+        )
+    return dict(values["study"])
+
+
 def job_of(
-    preset: str,
+    preset: str | None,
     study: Mapping[str, Any],
     arm: str,
     seed: int,
     common: Sequence[Override],
     folder: Path,
 ) -> Job:
-    """The run of one arm and seed. Raises BadInput where its settings make no config."""
+    """The run of one arm and seed; without a preset it starts from the default config.
+
+    Raises BadInput where its settings make no config.
+    """
     try:
         own = parse_overrides(with_floor_plans(study["arms"][arm]))
         check_single_values(own)
@@ -116,7 +156,8 @@ def job_of(
         raise BadInput(f"{key}: is what sets the runs of a study apart; leave it out")
     check_single_values(common)
     # An arm that names a preset starts from it, and not from the study's.
-    start = [] if EXPERIMENT in {o.key for o in own} else [f"{EXPERIMENT}={preset}"]
+    starts_anew = preset is None or EXPERIMENT in {override.key for override in own}
+    start = [] if starts_anew else [f"{EXPERIMENT}={preset}"]
     budget, houses = study["budget"], study["houses"]
     if budget is not None and not keys & {BUDGET, FRAMES}:
         start.append(f"{FRAMES if isinstance(budget, int) else BUDGET}={budget}")

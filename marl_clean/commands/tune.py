@@ -21,7 +21,7 @@ from marl_clean.commands._tune_settings import (
     measure_of,
     read_settings,
 )
-from marl_clean.commands.checks import check_all
+from marl_clean.commands.checks import check_all, check_no_study
 from marl_clean.config.config_hash import config_hash
 from marl_clean.config.installed import is_installed
 from marl_clean.config.levels import EXPERIMENT
@@ -51,7 +51,9 @@ class Plan:
 def make_plan(texts: Sequence[str]) -> Plan:
     """The search that a command's settings describe. Raises BadInput before anything is made."""
     settings = read_settings([text for text in texts if text.startswith(PREFIX)])
-    space = read_space([text for text in texts if not text.startswith(PREFIX)])
+    of_runs = [text for text in texts if not text.startswith(PREFIX)]
+    check_no_study(of_runs)
+    space = read_space(of_runs)
     config = space.config(space.first())
     measure = measure_of(settings, config)
     check_all(config, training=True)

@@ -11,6 +11,7 @@ import yaml
 from omegaconf import OmegaConf
 from rich.console import Console
 
+import marl_clean
 from marl_clean import cli
 from marl_clean.commands import study, study_report
 from marl_clean.commands.frozen import FROZEN, read_frozen
@@ -100,6 +101,40 @@ def changed(**keys: Any) -> dict[str, Any]:
 def verdicts(folder: Path = FOLDER) -> dict[str, Outcome]:
     frozen = read_frozen(folder)
     return {v.rule.name: v.outcome for v in judge(frozen, runs_of(frozen))}
+
+
+def test_a_study_may_be_a_file_anywhere(trained, tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    path = tmp_path / "elsewhere" / "delay.yaml"
+    path.write_text(yaml.safe_dump({"study": STUDY}, sort_keys=False))
+    quiet = Console(file=io.StringIO())
+    assert study.main(str(path), ["hydra/launcher=basic"], quiet) == 0
+    folder = Path("runs/studies/delay")
+    assert trained == [f"{arm}-s{seed}" for arm in MEANS for seed in (1, 2, 3)]
+    assert verdicts(folder)["sooner"] is Outcome.MET
+    own = load_config(folder / "plan-s2")
+    expected = compose_config(["comm=plan", "seed=2", "trainer.total_frames=10_000"])
+    assert own["trainer"] == expected.trainer and own["evaluation"]["houses"] == 3
+    trained.clear()
+    decided = marl_clean.study(path, ["hydra/launcher=basic"])
+    assert [verdict.rule.name for verdict in decided] == list(STUDY["rules"])
+    assert not trained  # all are finished
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("study: 3", "has no section `study`"),
+        ("[1, 2]", "has no section `study`"),
+        ("study: {arms: {}}\nagent: {lr: 1}", "agent: only a preset sets keys"),
+    ],
+)
+def test_a_file_that_is_no_study_is_one_line(tmp_path, content, message):
+    (tmp_path / "no.yaml").write_text(content)
+    with pytest.raises(BadInput, match=message):
+        study.section_of(str(tmp_path / "no.yaml"))
+    with pytest.raises(BadInput, match=r"gone\.yaml: No such file"):
+        study.section_of(str(tmp_path / "gone.yaml"))
 
 
 def test_a_study_is_run_and_its_rules_are_decided(trained, monkeypatch):

@@ -8,6 +8,7 @@ import pytest
 from omegaconf import OmegaConf
 from rich.console import Console
 
+import marl_clean
 from marl_clean import cli
 from marl_clean.commands import tune
 from marl_clean.commands._space import Dimension, read_space
@@ -241,6 +242,21 @@ def test_a_search_of_another_name_or_a_damaged_one_is_one_line(trainings, capsys
         err = capsys.readouterr().err
         assert err.startswith(f"marl-clean: {database}: is damaged") and err.count("\n") == 1
     assert len(trainings.begun) == 1
+
+
+def test_a_study_is_no_search() -> None:
+    with pytest.raises(BadInput, match="experiment=quick_study: is a study of several arms"):
+        tune.make_plan(["+experiment=quick_study", LR])
+
+
+def test_python_gets_the_trials(trainings) -> None:
+    made = marl_clean.tune([LR], trials=3, measure="T_90", name="mine", seed=1)
+    assert [trial["trial"] for trial in made] == [0, 1, 2]
+    assert all(trial["state"] == "complete" and len(trial["runs"]) == 1 for trial in made)
+    measured = [trial["T_90"] for trial in made]
+    assert measured == pytest.approx([100 + 1e4 * float(trial["agent.lr"]) for trial in made])
+    with pytest.raises(BadInput, match="tune: trial: no such setting; did you mean trials"):
+        marl_clean.tune([LR], trial=3)
 
 
 def test_without_optuna_one_line_says_what_to_install(tmp_path, monkeypatch, capsys):
