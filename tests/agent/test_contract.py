@@ -63,7 +63,8 @@ def batch_for(agent, count: int = 6, seed: int = 0) -> TensorDict:
 
 @family(("learner", "scheme"), fitting(), fast=[("iql", "plan"), ("ippo", "none")])
 def test_the_contract(learner: str, scheme: str) -> None:
-    check_agent(learner, comm=scheme, precision="float32")
+    needs = ["env.memory=private"] if scheme == "delta" else []
+    check_agent(learner, comm=scheme, others=needs, precision="float32")
 
 
 IN_A_ROW = [(learner, "encoder.memory=gru") for learner in LEARNERS if learner != "central_dqn"]
