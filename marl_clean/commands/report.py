@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from marl_clean.commands.command_line import command_line
 from marl_clean.commands.compare import WorldComparison, comparison_of
 from marl_clean.commands.gathering import IGNORED_KEYS, World, gather, rows_of
 from marl_clean.commands.intervention_part import STARS, interventions_of
@@ -20,6 +21,7 @@ from marl_clean.evaluation.row_statistics import caption_of, statistics_cells
 from marl_clean.evaluation.table import YARDSTICK, interval, output, row_of
 from marl_clean.report.html import Part, render
 from marl_clean.report.metrics import Series, read_metrics
+from marl_clean.report.origin import Origin
 from marl_clean.report.plots import SHOWN_TIMES, Rows, Shown, curves, plots
 from marl_clean.report.recorded import REPLAY, Recording, read_recording
 from marl_clean.storage import files
@@ -60,7 +62,14 @@ def main(
     shown = dict.fromkeys(entry["policy"] for world in worlds.values() for entry in learned(world))
     title = f"{len(shown)} runs" if len(shown) != 1 else next(iter(shown))
     parts, replays = content_of(list(worlds.values()), comparisons)
-    return write(out or RUNS / "report.html", render(title, [NOTE], parts, replays), console)
+    page = render(title, [NOTE], parts, replays, origin_of(comparisons))
+    return write(out or RUNS / "report.html", page, console)
+
+
+def origin_of(comparisons: Iterable[WorldComparison]) -> Origin:
+    """The command that makes a page, and the configs of all that it shows."""
+    shown = [item.entry["config_hash"] for world in comparisons for item in world.measured]
+    return Origin(command_line(), shown)
 
 
 def content_of(

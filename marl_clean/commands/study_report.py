@@ -14,7 +14,7 @@ from rich.text import Text
 from marl_clean.commands.compare import WorldComparison, comparison_of
 from marl_clean.commands.frozen import FROZEN, Frozen, read_frozen
 from marl_clean.commands.gathering import World, gather, rows_of
-from marl_clean.commands.report import NOTE, ON_PAGE, content_of, write
+from marl_clean.commands.report import NOTE, ON_PAGE, content_of, origin_of, write
 from marl_clean.commands.run_info import State
 from marl_clean.commands.study import STUDIES
 from marl_clean.commands.verdicts import Run, Verdict, judge, runs_of
@@ -76,7 +76,9 @@ def main(
     ]
     parts = [part_of(frozen, runs, verdicts), arms_part(frozen)]
     measured, replays = content_of(list(worlds.values()), comparisons) if worlds else ([], [])
-    page = render(f"Study {folder.name}", notes_of(frozen), [*parts, *measured], replays)
+    every = [*parts, *measured]
+    origin = origin_of(comparisons)
+    page = render(f"Study {folder.name}", notes_of(frozen), every, replays, origin)
     write(out or folder / "report.html", page, console)
     return verdicts
 

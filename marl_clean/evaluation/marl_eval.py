@@ -49,7 +49,7 @@ def to_marl_eval(measured: Sequence[Measured], curves: Mapping[Path, Mapping[str
         learned = item.setting is not None
         curve = curves.get(item.folder, {}) if item.folder is not None else {}
         absolute = {
-            name: sample([houses], name)[0].tolist()
+            name: [_shortest(value) for value in sample([houses], name)[0].tolist()]
             for name in MEASURES
             if name in houses[0] and not (curve and name not in curve)
         }
@@ -61,7 +61,7 @@ def to_marl_eval(measured: Sequence[Measured], curves: Mapping[Path, Mapping[str
         records = {"step_0": {"step_count": 0, **summary}, ABSOLUTE: _record(item)}
         _place(tree[RECORDS], item)[_run(item)] = records
     kept = {name: tasks for name, tasks in tree.items() if tasks}
-    return json.dumps(kept, indent=1, allow_nan=False) + "\n"
+    return json.dumps(kept, separators=(",", ":"), allow_nan=False) + "\n"
 
 
 def read_marl_eval(path: Path) -> list[Measured]:
@@ -103,6 +103,11 @@ def _steps(curve: Mapping[str, Series], absolute: Mapping[str, Any]) -> Tree:
         f"step_{place}": {"step_count": int(frames), **step}
         for place, (frames, step) in enumerate(whole.items())
     }
+
+
+def _shortest(value: float) -> float | int:
+    """A whole number without its `.0`: the same number of JSON, and most values are whole."""
+    return int(value) if value.is_integer() else value
 
 
 def _place(environment: Tree, item: Measured) -> Tree:

@@ -98,8 +98,8 @@ class Chart:
             edge = [(x, top) for x, _, top in piece] + [(x, end) for x, end, _ in piece[::-1]]
             self._marks.append(_Mark(Kind.BAND, row, edge, ""))
 
-    def svg(self, title: str) -> str:
-        """The chart as an `<svg>` element without its legend."""
+    def svg(self, title: str, origin: str = "") -> str:
+        """The chart as an `<svg>` element without its legend; `origin` is its metadata."""
         points = [point for mark in self._marks for point in mark.points]
         x_ticks, y_ticks = (
             _ticks(axis, [point[place] for point in points])
@@ -113,6 +113,7 @@ class Chart:
         parts = [
             f'<svg role="img" aria-label="{escape(title)}" viewBox="0 0 {WIDTH} {self.height:g}">'
         ]
+        parts += [f"<metadata>{escape(origin)}</metadata>"] if origin else []
         for value, text in x_ticks.labels:
             at = _short(x(value))
             parts.append(f'<path class="grid" d="M{at} {TOP}V{_short(bottom)}"/>')

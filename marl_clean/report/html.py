@@ -7,6 +7,7 @@ from html import escape
 from importlib.resources import files as package_files
 from typing import Any
 
+from marl_clean.report.origin import Origin
 from marl_clean.report.plots import Plot, Rows
 from marl_clean.report.recorded import Recording
 
@@ -31,9 +32,17 @@ class Part:
 
 
 def render(
-    title: str, notes: Sequence[str], parts: Sequence[Part], replays: Sequence[Recording]
+    title: str,
+    notes: Sequence[str],
+    parts: Sequence[Part],
+    replays: Sequence[Recording],
+    origin: Origin | None = None,
 ) -> str:
-    """Return the page. Whatever comes from files is text in it, never markup."""
+    """Return the page. Whatever comes from files is text in it, never markup.
+
+    `origin`: what made the page, which each of its charts holds as metadata.
+    """
+    source = "" if origin is None else "\n".join(origin.metadata().values())
     names = [*(part.title for part in parts), *(["Replays"] if replays else [])]
     anchors = [f"part-{number}" for number in range(len(parts))] + ["replays"] * bool(replays)
     links = "".join(
@@ -44,7 +53,7 @@ def render(
         f"<h1>{escape(title)}</h1>",
         *(f'<p class="note">{escape(note)}</p>' for note in notes),
         f'<nav aria-label="parts"><ul>{links}</ul></nav>',
-        *(_part(part, anchor) for part, anchor in zip(parts, anchors, strict=False)),
+        *(_part(part, anchor, source) for part, anchor in zip(parts, anchors, strict=False)),
         *([_replays(replays)] if replays else []),
     ]
     style = (ASSETS / "page.css").read_text(encoding="utf-8")
@@ -59,8 +68,8 @@ def render(
     )
 
 
-def _part(part: Part, anchor: str) -> str:
-    plots = "".join(map(_plot, part.plots))
+def _part(part: Part, anchor: str, source: str) -> str:
+    plots = "".join(_plot(plot, source) for plot in part.plots)
     return "\n".join(
         [
             f'<section id="{anchor}"><h2>{escape(part.title)}</h2>',
@@ -72,11 +81,11 @@ def _part(part: Part, anchor: str) -> str:
     )
 
 
-def _plot(plot: Plot) -> str:
+def _plot(plot: Plot, source: str) -> str:
     numbers = _table(plot.numbers, plot.title)
     return (
         f"<figure><figcaption>{escape(plot.title)}</figcaption>"
-        f"{plot.chart.svg(plot.title)}{plot.chart.legend()}"
+        f"{plot.chart.svg(plot.title, source)}{plot.chart.legend()}"
         f"<details><summary>its numbers</summary>{numbers}</details></figure>"
     )
 

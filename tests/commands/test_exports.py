@@ -84,6 +84,20 @@ def test_an_export_and_folders_are_compared_together(runs: list[str], tmp_path: 
     assert rows[0]["policy"] == "plan-s0 (2 seeds)"
 
 
+def test_marl_eval_has_no_space_and_no_needless_digit(exported: Path) -> None:
+    text = (exported / "marl_eval.json").read_text()
+    assert "\n" not in text.rstrip()
+    tree = json.loads(text)["marl_clean"]
+    values = [
+        value
+        for task in tree.values()
+        for algorithm in task.values()
+        for run in algorithm.values()
+        for value in run["absolute_metrics"]["T_90"]
+    ]
+    assert values and all(isinstance(value, int) for value in values)
+
+
 def test_efficiency_has_the_measures_of_the_seeds_frame_by_frame(exported: Path) -> None:
     with (exported / "efficiency.csv").open(newline="") as file:
         lines = list(csv.DictReader(file))
@@ -179,7 +193,7 @@ DAMAGED = {
     "empty": lambda text: "",
     "blank": lambda text: "\n \n",
     "half": lambda text: text[: len(text) // 2],
-    "half, at the end of a line": lambda text: text[: text.rindex("\n", 0, len(text) // 2) + 1],
+    "half, at the end of a line": lambda text: text[: text.rfind("\n", 0, len(text) // 2) + 1],
     "foreign": lambda text: '{"a": 1}' if text[0] == "{" else "a,b\n1,2\n",
     "a list": lambda text: "[1]",
     "deep": lambda text: "[" * 100_000,

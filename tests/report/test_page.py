@@ -11,6 +11,7 @@ from rich.console import Console
 
 from marl_clean import build
 from marl_clean.commands import report
+from marl_clean.commands.command_line import issued
 from marl_clean.config.compose import compose_config
 from marl_clean.errors import BadInput
 from marl_clean.report.chart import Axis, Chart
@@ -326,3 +327,16 @@ def test_numbers_in_a_script_element_cannot_end_it() -> None:
     page = render("x", [], [], [{"policy": "</script>&<b>", "house": "0"}])
     data = page.partition('id="recordings">')[2].partition("</script>")[0]
     assert json.loads(data) == [{"policy": "</script>&<b>", "house": "0"}]
+
+
+def test_every_chart_of_a_page_names_the_command_and_the_configs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = write_run(tmp_path / "run", [], [40, 60])
+    with issued(["report", "a<b>"]):
+        page = report.main([run], tmp_path / "page.html", Console(quiet=True)).read_text()
+    charts = page.count('<svg role="img"')
+    assert charts > 2
+    origin = "<metadata>marl-clean report &#x27;a&lt;b&gt;&#x27;\nconfig sha256 hash</metadata>"
+    assert page.count(origin) == page.count("<metadata>") == charts
