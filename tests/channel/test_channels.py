@@ -164,7 +164,7 @@ DIMS = (2, 1)
 def test_what_is_heard_was_sent_so_many_steps_ago(late):
     delayed = Delayed(late, False, DIMS)
     torch.nn.init.constant_(delayed.age, 0.5)
-    state = torch.zeros(5, 4, late, 3 + 4)
+    state = torch.zeros(5, 4, late, 3 + 2 * 4)
     past = moving(8)
     for t, (message, live) in enumerate(past):
         step = Step(None, state)
@@ -182,7 +182,7 @@ def test_what_is_heard_was_sent_so_many_steps_ago(late):
 def test_drawn_ages_tell_themselves():
     delayed = Delayed(2, True, DIMS)
     torch.nn.init.constant_(delayed.age, 0.5)
-    state, past, ages = torch.zeros(5, 4, 2, 3 + 4), moving(40), []
+    state, past, ages = torch.zeros(5, 4, 2, 3 + 2 * 4), moving(40), []
     for t, (message, live) in enumerate(past):
         step = Step(seeds(5, n_agents=4, seed=t), state)
         age = delayed.ages(step)

@@ -34,7 +34,7 @@ class OffByOne(Later):
 
     def carry(self, message, edges, round_index, step):
         newest = step.state[..., 0, :]
-        return newest[..., self.parts[round_index]], newest[..., self.width :].mT > 0
+        return newest[..., self.parts[round_index]], self.reaches(newest, round_index).mT > 0
 
 
 class Endless(Lossy):
@@ -226,7 +226,7 @@ def lost_is_paid(make: Make) -> None:
 
 def late_by_two(make: Make) -> None:
     [later] = make(DIMS)
-    state, past = torch.zeros(5, 4, 2, 3 + 4), moving(4)
+    state, past = torch.zeros(5, 4, 2, 3 + 2 * 4), moving(4)
     for t, (message, live) in enumerate(past):
         step = Step(None, state)
         heard, _ = later.carry(message[..., :2], live, 0, step)
