@@ -5,6 +5,7 @@ A list with one entry for each (policy, set of houses); `schema` is the version 
 """
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -209,12 +210,17 @@ def house_fault(houses: Sequence[House]) -> str | None:
     for house in houses:
         if not needed <= house.keys():
             return f"a house has no {min(needed - house.keys())}"
-        if str in {type(house[name]) for name in needed}:
-            texts = (name for name in needed if isinstance(house[name], str))
-            return f"a house has no number {min(texts)}"
+        if not all(map(_is_number, (house[name] for name in needed))):
+            others = (name for name in needed if not _is_number(house[name]))
+            return f"a house has no number {min(others)}"
         if house.get("max_steps", 0) is None:
             return "a house has no number max_steps"
     return None
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a record may hold it as a measure: a finite number, or null."""
+    return value is None or (type(value) in (int, float) and math.isfinite(value))
 
 
 def _fallback_keys(measure: str) -> tuple[str, ...]:
