@@ -180,6 +180,8 @@ def test_every_learner_and_scheme_trains_for_any_house(
     chosen = [f"agent={learner}", f"comm={scheme}", f"trainer={trainer}", f"reward={reward}"]
     settings = [*TINY, *(f"trainer.{setting}" for setting in OF_TRAINERS[trainer])]
     settings += [SHORT, "evaluation.sides=[]"]
+    if scheme == "delta":
+        settings.append("env.memory=private")
     assert cli.main(["train", "+experiment=any_house_task", *chosen, *settings]) == 0
     [folder] = Path("runs").iterdir()
     rows = list(csv.DictReader((folder / "metrics.csv").read_text().splitlines()))

@@ -134,7 +134,7 @@ exchanging = st.builds(
 
 @pytest.mark.slow
 @given(case=cases(settings=exchanging), whole_map=st.booleans())
-@hypothesis_settings(max_examples=EXAMPLES, deadline=None)
+@hypothesis_settings(max_examples=40, deadline=None)
 def test_maps_exchanged_a_few_cells_a_step_are_the_references(case: Case, whole_map: bool) -> None:
     assert_same_play([case], whole_map)
 

@@ -5,6 +5,7 @@ import torch
 from tidy_lab.corridor import Corridor
 from tidy_lab.loudest import Loudest
 
+from marl_clean.comm.base import Senders
 from marl_clean.testing import check_comm, check_house, check_planner
 
 
@@ -31,5 +32,5 @@ def test_the_largest_number_is_heard() -> None:
     scheme.join[0].weight.data[:2, 2:] = torch.eye(2)
     feature = torch.tensor([[1.0, 5.0], [3.0, 2.0], [4.0, 1.0]])
     live = torch.tensor([[0, 1, 1], [1, 0, 0], [1, 0, 0]], dtype=torch.bool)
-    heard = scheme(feature, live, torch.zeros(3, 3, dtype=torch.int64)).feature
+    heard = scheme(feature, live, Senders(torch.zeros(3, 3, dtype=torch.int64))).feature
     assert heard[:, :2].tolist() == [[4.0, 2.0], [1.0, 5.0], [1.0, 5.0]]
