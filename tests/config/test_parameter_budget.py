@@ -29,10 +29,11 @@ def size(agent) -> int:
 
 @family("comm", rooms()["comm"], fast=["plan"])
 def test_every_scheme_fills_the_budget_and_does_not_exceed_it(comm: str) -> None:
-    agent = learner(f"comm={comm}", f"parameter_budget={BUDGET}")
+    scheme = [f"comm={comm}", *(["env.memory=private"] if comm == "delta" else [])]
+    agent = learner(*scheme, f"parameter_budget={BUDGET}")
     assert 0.99 * BUDGET < size(agent) <= BUDGET
     wider = agent.network.encoder.out_features + 1
-    assert size(learner(f"comm={comm}", f"encoder.hidden=[{wider}]")) > BUDGET
+    assert size(learner(*scheme, f"encoder.hidden=[{wider}]")) > BUDGET
 
 
 @family("agent", rooms()["agent"], fast=["qmix"])
