@@ -26,7 +26,7 @@ BACKENDS = {
     "1 process": ("process", 1),
     "2 processes": ("process", 2),
 }
-SLICES, SECONDS = 6, 1.0
+SLICES, SECONDS = 6, 3.0
 
 
 def measure(settings: list[str], folder: Path) -> dict[str, list[float]]:
