@@ -2,6 +2,7 @@
 
 import copy
 import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -162,7 +163,8 @@ def test_a_study_is_run_and_its_rules_are_decided(trained, monkeypatch):
     assert run(monkeypatch)[0] == 0 and len(trained) == 6  # nothing is lacking
     assert (FOLDER / FROZEN).read_bytes() == before
     assert cli.main(["report", "quick", "--out", "page.html"]) == 0
-    assert Path("page.html").read_text() == page
+    made_by = re.compile("<metadata>.*?</metadata>", re.DOTALL)  # names the command: another one
+    assert made_by.sub("", Path("page.html").read_text()) == made_by.sub("", page)
 
 
 @pytest.mark.slow
