@@ -730,16 +730,25 @@ def targets(world: World, robot: int, orders: Orders = ()) -> list[Place]:
     return unknown or dirty
 
 
+def explores(world: World, robot: int, orders: Orders = ()) -> bool:
+    """Whether its targets are unknown or spilt cells."""
+    known = world.map_of(robot)
+    places = targets(world, robot, orders)
+    return any(place not in known or known[place].spilt for place in places)
+
+
 def assigned(world: World, assignment: Assignment, orders: Orders = ()) -> list[Place | None]:
     """Each robot's target; None where nothing was assigned to it.
 
     Greedy: by ascending (steps, robot, order of discovery), each target to one robot.
     Hungarian: the most robots with distinct targets, then the least sum of steps; ties as they
     fall. A robot needs to look at its n nearest only: n - 1 others cannot take them all.
+    Robots that reach an unknown or spilt cell compete among themselves, and so do the others.
     """
     robots = range(world.n_agents)
     found = [search(world, robot, orders) for robot in robots]
     options = [targets(world, robot, orders) for robot in robots]
+    tier = [explores(world, robot, orders) for robot in robots]
     taken: list[Place | None] = [None] * world.n_agents
     if assignment is Assignment.NONE:
         return [places[0] if places else None for places in options]
@@ -750,7 +759,8 @@ def assigned(world: World, assignment: Assignment, orders: Orders = ()) -> list[
             for order, place in enumerate(options[robot])
         ]
         for _, robot, _, place in sorted(pairs):
-            if taken[robot] is None and place not in taken:
+            rivals = [taken[other] for other in robots if tier[other] == tier[robot]]
+            if taken[robot] is None and place not in rivals:
                 taken[robot] = place
         return taken
     nearest = [[*places[: world.n_agents], None] for places in options]
@@ -760,7 +770,7 @@ def assigned(world: World, assignment: Assignment, orders: Orders = ()) -> list[
         return idle, sum(found[i][p][0] for i, p in enumerate(choice) if p is not None)
 
     def distinct(choice: Sequence[Place | None]) -> bool:
-        places = [place for place in choice if place is not None]
+        places = [(tier[i], place) for i, place in enumerate(choice) if place is not None]
         return len(places) == len(set(places))
 
     choices = (list(choice) for choice in product(*nearest))
