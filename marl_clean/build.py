@@ -97,7 +97,7 @@ def make_env(
         further.append(GlobalState())
     if cfg.agent.get("mask_walls", False):
         further.append(KnownWalls())
-    further += asked_of_env(cfg.comm, learning=shaped)
+    further += asked_of_env(cfg.comm, constant(cfg.comm._target_, "reads"), learning=shaped)
     weight = env.rules.shaping if shaped else 0.0
     if weight:
         further.append(Potential())

@@ -12,6 +12,7 @@ ADJACENCY = (AGENTS, "adjacency")  # *B n n bool, symmetric, false on the diagon
 POTENTIAL = (AGENTS, "potential")  # *B n 1 float32: of shaping, 0 to -60
 DISTANCE_RANK = (AGENTS, "distance_rank")  # *B n n int64, 0 itself, 1 the nearest, ...
 OFFSET = (AGENTS, "offset")  # *B n n 2 int64, [i, j]: (row, col) from i to j; on demand
+TARGET = (AGENTS, "target")  # *B n 3 int64: (row, col) to what it has to clean next, 1; or zeros
 KNOWN = (AGENTS, "known")  # *B n K K int8: a class of each cell around a robot, by its map
 MISSING = (AGENTS, "missing")  # *B n n K K int8, [i, j]: of cells around i, by j's map; -1: i knows
 GRAPH = (ADJACENCY, DISTANCE_RANK, OFFSET)  # who may talk to whom, and who is where

@@ -60,6 +60,7 @@ class Scene(NamedTuple):
         senders: where those in contact are.
         hidden: `[*B, n, remembers]`, what each carried from the step before; zeros at first.
         value: from features `[..., out_features]` to the values of actions; the network's head.
+        read: `[*B, n, reads_numbers]`, the entry of frames that the scheme `reads`; None: none.
     """
 
     contact: Tensor
@@ -67,6 +68,7 @@ class Scene(NamedTuple):
     senders: Senders
     hidden: Tensor
     value: Callable[[Tensor], Tensor]
+    read: Tensor | None
 
 
 class Talk(NamedTuple):

@@ -3,10 +3,10 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor, nn
 
 from marl_clean.comm._join import Join
@@ -106,6 +106,8 @@ class Comm(nn.Module, ABC):
         represents: length of what a robot makes of all that it heard, taught by losses of its own.
         reconstruct, predict: weights of these, see `marl_clean.learning.representing`.
         observed: numbers in an observation, of schemes that send or reconstruct it.
+        reads, reads_numbers: an entry of the agents, of so many numbers a robot, which `look` finds
+            in the scene; None of schemes that take features alone.
         out_features: length of the features it gives.
         ground: as in `Hearing`.
         joined: how features and what is heard become these, other than by the scheme itself.
@@ -124,6 +126,8 @@ class Comm(nn.Module, ABC):
     reconstruct: float = 0.0
     predict: float = 0.0
     observed: int = 0
+    reads: ClassVar[str | None] = None
+    reads_numbers: ClassVar[int] = 0
 
     def __init__(self) -> None:
         super().__init__()
@@ -224,11 +228,13 @@ class Comm(nn.Module, ABC):
         delivery: Delivery | None = None,
         hidden: Float[Tensor, "*batch agent hidden"] | None = None,
         value: Callable[[Tensor], Tensor] = _itself,
+        read: Shaped[Tensor, "*batch agent number"] | None = None,
     ) -> Talk:
         """Let the robots talk: round by round, over `delivery`, without one as if at no loss.
 
         `senders` may hold the offsets of all pairs: those out of contact have no influence. Without
-        `hidden` nothing was carried here; without `value` features are taken for action values.
+        `hidden` nothing was carried here; without `value` features are taken for action values;
+        `read` is the frames' entry `reads`.
         """
         delivery = delivery or Direct(adjacency)
         price = min(self.bits_per_number, delivery.bits_per_number or self.bits_per_number)
@@ -236,7 +242,7 @@ class Comm(nn.Module, ABC):
             hidden = feature.new_zeros(*feature.shape[:-1], self.remembers)
         nobody_silent = torch.ones_like(feature[..., :1])
         seen = self._audible(senders, adjacency, nobody_silent)
-        scene = Scene(adjacency, delivery.sent, seen, hidden, value)
+        scene = Scene(adjacency, delivery.sent, seen, hidden, value, read)
         state, sent = self.look(feature, scene), [feature[..., :0]]
         receivers = delivery.sent.sum(-2).unsqueeze(-1).to(feature.dtype)
         edges, bits = [receivers[..., :0]], torch.zeros_like(receivers)

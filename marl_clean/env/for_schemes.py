@@ -1,22 +1,40 @@
 """The transforms that a communication scheme's settings ask for."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from marl_clean.env.known_cells import REACH_CELLS, KnownCells
 from marl_clean.env.offsets import Offsets
+from marl_clean.env.targets import Targets
 from marl_clean.env.transform import WorldTransform
+from marl_clean.errors import BadInput
+
+READABLE: Mapping[str, Callable[[], WorldTransform]] = {"target": Targets}
+"""What adds the entries that a scheme may name in `reads`."""
 
 
-def asked_of_env(comm: Mapping[str, Any], learning: bool) -> list[WorldTransform]:
+def asked_of_env(
+    comm: Mapping[str, Any], reads: str | None, learning: bool
+) -> list[WorldTransform]:
     """Return what adds the entries that a section `comm` of a config asks for.
 
-    `learning`: those too that only losses take, from which messages are learnt.
+    Args:
+        comm: the section.
+        reads: the entry that its class sends, if any.
+        learning: those too that only losses take, from which messages are learnt.
+
+    Raises:
+        BadInput: no such entry.
     """
     sender_map, missing = (learning and asks for asks in _grounds(comm))
     transforms: list[WorldTransform] = []
     if comm.get("places", False) or missing:
         transforms.append(Offsets())
+    if reads is not None:
+        if reads not in READABLE:
+            scheme = comm["_target_"]
+            raise BadInput(f"{scheme}.reads={reads}: no such entry; valid: {', '.join(READABLE)}")
+        transforms.append(READABLE[reads]())
     if sender_map or missing:
         transforms.append(KnownCells(sender_map, missing))
     return transforms

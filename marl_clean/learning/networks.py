@@ -136,7 +136,8 @@ class RobotsNetwork(nn.Module):
         drawn = (keys.CHANNEL_SEED,) if self.draws else ()
         mask = (keys.ACTION_MASK,) if self.mask_walls else ()
         graph = keys.GRAPH if self.comm.places else keys.GRAPH[:2]
-        self.sees = (keys.OBSERVATION, *graph, *mask, *drawn, *self.carries)
+        read = () if self.comm.reads is None else ((keys.AGENTS, self.comm.reads),)
+        self.sees = (keys.OBSERVATION, *graph, *read, *mask, *drawn, *self.carries)
         late = sum(channel.steps_late for channel in self.stack)
         self.history = max(int(bool(memory)), late)
 
@@ -207,7 +208,8 @@ class RobotsNetwork(nn.Module):
                 outputs, allowed.unsqueeze(-2) if outputs.ndim > allowed.ndim else allowed
             )
 
-        talk = self.comm(feature, adjacency, senders, delivery, before, out)
+        read = None if self.comm.reads is None else seen[keys.AGENTS, self.comm.reads]
+        talk = self.comm(feature, adjacency, senders, delivery, before, out, read)
         if talk.hidden is not None:
             carried[keys.COMM_HIDDEN] = talk.hidden
         return Decision(out(talk.feature), talk, carried | stacked.states_after())

@@ -1,4 +1,4 @@
-"""A scheme that carries something from step to step, as if it came from this step's features."""
+"""A scheme that takes more than features, as if all of it came from this step's features."""
 
 from typing import Any
 
@@ -8,23 +8,32 @@ from torch import nn
 from marl_clean.comm.base import Comm
 from marl_clean.testing._graphs import FEATURES
 
+FIRST = 3  # parameters that are always given: features, adjacency, senders
+
 
 def reminded(comm: Comm) -> Comm:
-    """Return the scheme, given what its robots' own features say where nothing was carried.
+    """Return the scheme, given what its robots' own features say where nothing else was given.
 
-        hidden_i = tanh(R h_i), R drawn at random
+        hidden_i = tanh(R h_i),  read_i = tanh(S h_i),  R and S drawn at random
 
-    So that one step shows all that a robot may send.
+    of schemes that carry something from step to step, or read an entry of frames. So one step shows
+    all that a robot may send.
     """
     generator = torch.Generator().manual_seed(0)
-    drawn = torch.randn(FEATURES, comm.remembers, generator=generator, dtype=torch.float64)
+    widths = {"hidden": comm.remembers, "read": comm.reads_numbers}
+    drawn = {
+        name: torch.randn(FEATURES, width, generator=generator, dtype=torch.float64)
+        for name, width in widths.items()
+        if width
+    }
 
     def remind(
         module: nn.Module, given: tuple[Any, ...], named: dict[str, Any]
     ) -> tuple[tuple[Any, ...], dict[str, Any]]:
-        if len(given) < 5:  # features, adjacency, senders, delivery, what was carried
-            named = {**named, "hidden": (given[0] @ drawn).tanh()}
+        if len(given) <= FIRST + 1:  # a delivery may come with these
+            named = {name: (given[0] @ each).tanh() for name, each in drawn.items()} | named
         return given, named
 
-    comm.register_forward_pre_hook(remind, with_kwargs=True)
+    if drawn:
+        comm.register_forward_pre_hook(remind, with_kwargs=True)
     return comm

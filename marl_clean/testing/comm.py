@@ -55,7 +55,7 @@ def make_scheme(make: Maker) -> Comm:
     with torch.random.fork_rng([]):
         torch.manual_seed(0)
         comm = make(in_features=FEATURES, observed=OBSERVED).double().eval()
-        return reminded(comm) if comm.remembers else comm
+        return reminded(comm)
 
 
 def shapes(make: Maker) -> None:

@@ -21,7 +21,7 @@ from marl_clean.config.levels import read_level
 from marl_clean.config.schema import instantiate
 from marl_clean.learning.networks import Decision, Entries, QNetwork
 from marl_clean.observation.crop import Crop
-from tests.comm.contract import DILUTED, LEVELS, VARIANTS, draw, make
+from tests.comm.contract import DILUTED, LEVELS, TALKING, VARIANTS, draw, make
 
 CONF = Path(__file__).parents[2] / "conf"
 N_AGENTS = 3
@@ -43,11 +43,14 @@ def main() -> None:
         check_gradients(level, "inductor" if levels else "aot_eager")
     if levels:
         return
-    for level, changes in [variant for variant in VARIANTS + DILUTED if variant[1]]:
-        check(level, changes, {}, "none", "eager")
+    for level, changes in VARIANTS + DILUTED:
+        if changes.keys() - {"places", "join", "detach"}:  # these come with every level below
+            check(level, changes, {}, "none", "eager")
     check("commnet", {}, {channel: {} for channel in CHANNELS}, "none", "eager")
     for level, _ in LEVELS:
-        check(level, {}, {"lossy": {}, "delayed": {}}, "gru", "eager")
+        changes = {"places": True, "join": "residual"} if level in TALKING else {}
+        changes |= {"detach": True} if "detach" in read_level("comm", level) else {}
+        check(level, changes, {"lossy": {}, "delayed": {}}, "gru", "eager")
     check("dgn", {}, EVERYTHING, "gru", "aot_eager")
     remembering = {name: EVERYTHING[name] for name in ("lossy", "delayed")}
     check("plan", {}, remembering, "gru", "inductor")
@@ -95,6 +98,8 @@ def entries(network: QNetwork) -> Entries:
     seen = {keys.OBSERVATION: observation, keys.ADJACENCY: live, keys.DISTANCE_RANK: rank}
     if network.comm.places:
         seen[keys.OFFSET] = torch.randint(-5, 6, (2, N_AGENTS, N_AGENTS, 2))
+    if network.comm.reads is not None:
+        seen[keys.TARGET] = torch.randint(-9, 9, (2, N_AGENTS, 3))
     if network.draws:
         seen[keys.CHANNEL_SEED] = torch.randint(2**32, (2, N_AGENTS))
     specs = network.state_specs(N_AGENTS)

@@ -88,6 +88,7 @@ def play(net: RobotsNetwork, inputs: Frames) -> list[Talk]:
     for feature, live, rank, seed, offset in zip(*inputs, strict=True):
         seen = {keys.ADJACENCY: live, keys.DISTANCE_RANK: rank, keys.CHANNEL_SEED: seed}
         seen[keys.OFFSET] = offset
+        seen[keys.TARGET] = feature[..., :3]  # of its own robot alone, as what is sent has to be
         _, talk, carried = net.decide(feature, seen | carried)
         talks.append(talk)
     return talks

@@ -223,6 +223,10 @@ def test_by_default_runs_keep_their_hash() -> None:
             ["comm.ground.missing=1.0"],
             "comm.ground.missing=1.0: under env.memory=shared robots in contact miss nothing",
         ),
+        (
+            ["comm=target", "comm.ground.sender_map=1.0"],
+            "comm.ground.sender_map=1.0: nothing of the messages of comm=target is learnt",
+        ),
         (["comm.ground.missing=-1.0"], "comm.ground.missing: must be a number, at least 0, not -1"),
         (["comm.ground.mising=1.0"], "comm.ground.mising: no such key; did you mean missing?"),
         (["comm.ground=1"], "comm.ground: must be a section, not 1"),

@@ -1,18 +1,14 @@
 """Every observation is what the plain world shows, whatever the house and the reading."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from torchrl.envs import Compose, TransformedEnv
-from torchrl.envs.utils import step_mdp
 
 from marl_clean import keys
-from marl_clean.observation.base import Observation
 from marl_clean.observation.crop import Crop
 from marl_clean.observation.distances import Distances
 from marl_clean.observation.global_map import GlobalMap
@@ -20,40 +16,15 @@ from marl_clean.observation.pyramid import Pyramid
 from marl_clean.settings import Memory
 from tests.families import family
 from tests.observation import plain
+from tests.observation.compared import assert_sees
 from tests.reference import Settings, World
 from tests.world.play import env_of, start, topology_of
 from tests.world.strategies import Case, cases
 
-STEPS = 6
 LARGEST = 9
-Expected = Callable[[World, int, int], list]
 noises = st.sampled_from([0.0, 0.5, 1.0])
 sides = st.sampled_from([1, 3, 5])
 small_cases = cases(max_agents=3)
-
-
-def assert_sees(drawn: list[Case], observation: Observation, expected: Expected) -> None:
-    """Play all cases in one env; each of its worlds shows each robot what is expected."""
-    env = env_of(drawn)
-    env = TransformedEnv(env.base_env, Compose(topology_of(drawn[0].settings), observation))
-    worlds = [case.world(index) for index, case in enumerate(drawn)]
-    playing = [True] * len(drawn)
-    tensordict = start(env, drawn)
-    for step in range(min(STEPS, *(len(case.actions) for case in drawn))):
-        seen = tensordict[keys.OBSERVATION]
-        assert env.observation_spec[keys.OBSERVATION].is_in(seen)
-        for index, world in enumerate(worlds):
-            if playing[index]:
-                robots = range(world.n_agents)
-                shown = torch.tensor([expected(world, robot, index) for robot in robots])
-                torch.testing.assert_close(seen[index], shown, atol=1e-6, rtol=0)
-        actions = [case.actions[step] for case in drawn]
-        tensordict[keys.ACTION] = torch.tensor(actions)
-        tensordict = step_mdp(env.step(tensordict))
-        for index, world in enumerate(worlds):
-            if playing[index]:
-                outcome = world.step(actions[index])
-                playing[index] = not (outcome.terminated or outcome.truncated)
 
 
 @pytest.mark.slow
