@@ -52,7 +52,7 @@ class Pqn(Agent):
         max_grad_norm: gradients are scaled down to this norm.
         eps_init, eps_end, annealing_fraction: the share of random actions falls linearly from
             eps_init to eps_end over this fraction of the frames, and stays.
-        precision: the encoder's arithmetic; bfloat16 is faster.
+        precision: the encoder's arithmetic; bfloat16 is faster, on devices that have it.
         mask_walls: actions into cells known to be blocked are masked.
         n_agents: robots in a world.
         num_actions: actions of a robot.

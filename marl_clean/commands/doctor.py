@@ -89,3 +89,8 @@ def _device() -> Iterator[Finding]:
     ]
     devices += ["mps"] if torch.backends.mps.is_available() else []
     yield Finding("devices", ", ".join(["cpu", *devices]))
+
+    from marl_clean.learning.arithmetic import computes_bfloat16
+
+    has = "instructions" if computes_bfloat16("cpu") else "none: agent.precision is float32 there"
+    yield Finding("bfloat16 on the cpu", has)

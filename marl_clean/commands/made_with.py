@@ -82,8 +82,13 @@ def versions() -> dict[str, str]:
 
 
 def hardware(device: str) -> dict[str, Any]:
-    """Return system, processor, cores this process may use, threads of torch, memory, device."""
+    """Return system, processor, cores this process may use, threads of torch, memory, device.
+
+    `bfloat16`: whether the device computes with it, or `agent.precision=bfloat16` is float32.
+    """
     import torch
+
+    from marl_clean.learning.arithmetic import computes_bfloat16
 
     cuda = torch.device(device).type == "cuda"
     return {
@@ -95,6 +100,7 @@ def hardware(device: str) -> dict[str, Any]:
         "torch_threads": torch.get_num_threads(),
         "memory_gib": _memory_gib(),
         "device": device,
+        "bfloat16": computes_bfloat16(torch.device(device).type),
         "gpu": torch.cuda.get_device_name(device) if cuda else None,
         "cuda": torch.version.cuda if cuda else None,
     }

@@ -4,6 +4,7 @@ Every config is checked and the study is frozen into its folder before the first
 same command again does what is missing; a study that is not the frozen one is refused.
 """
 
+import copy
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -55,13 +56,10 @@ def main(preset: str, settings: Sequence[str], console: Console | None = None) -
     section = section_of(preset)
     study, rules = read_study(section)
     of_jobs, of_hydra = split(settings)
-    folder = folder_of(preset, settings)
+    folder = _folder_of(preset, of_jobs)
     common = [override for override in of_jobs if override.key != "name"]
     start = None if preset.endswith(YAML) else preset
-    jobs = {
-        arm: [job_of(start, study, arm, seed, common, folder) for seed in study["seeds"]]
-        for arm in study["arms"]
-    }
+    jobs = {arm: jobs_of(start, study, arm, common, folder) for arm in study["arms"]}
     configs = {arm: [job.config for job in arms] for arm, arms in jobs.items()}
     check_comparable(rules, {arm: seeds[0] for arm, seeds in configs.items()})
     now = to_freeze(title_of(preset), study, configs)
@@ -86,7 +84,10 @@ def folder_of(preset: str, settings: Sequence[str]) -> Path:
 
     Raises BadInput where that is no name of a folder.
     """
-    of_jobs, _ = split(settings)
+    return _folder_of(preset, split(settings)[0])
+
+
+def _folder_of(preset: str, of_jobs: Sequence[Override]) -> Path:
     names = [o.value for o in of_jobs if o.key == "name" and o.value is not None]
     name = str(names[-1]) if names else title_of(preset)
     if problem := mismatch(name, FolderName):
@@ -131,16 +132,16 @@ def section_in(path: Path) -> dict[str, Any]:
     return dict(values["study"])
 
 
-def job_of(
+def jobs_of(
     preset: str | None,
     study: Mapping[str, Any],
     arm: str,
-    seed: int,
     common: Sequence[Override],
     folder: Path,
-) -> Job:
-    """The run of one arm and seed; without a preset it starts from the default config.
+) -> list[Job]:
+    """The runs of one arm, a seed each; without a preset it starts from the default config.
 
+    Seed and name are all that sets them apart, so that one config is composed for all.
     Raises BadInput where its settings make no config.
     """
     try:
@@ -163,14 +164,25 @@ def job_of(
         start.append(f"{FRAMES if isinstance(budget, int) else BUDGET}={budget}")
     if houses is not None and HOUSES not in keys:
         start.append(f"{HOUSES}={houses}")
-    name = (folder / run_name(arm, seed)).relative_to(RUNS).as_posix()
-    parsed = [*parse_overrides(start), *common, *own, *parse_overrides([f"seed={seed}"])]
-    settings = parse_overrides([f"name={name}"])
+    jobs: list[Job] = []
+    for seed in study["seeds"]:
+        name = (folder / run_name(arm, seed)).relative_to(RUNS).as_posix()
+        apart = parse_overrides([f"seed={seed}", f"name={name}"])
+        settings = [*parse_overrides(start), *common, *own, *apart]
+        if jobs:
+            config = copy.deepcopy(jobs[0].config)
+            config.seed, config.name = seed, name
+        else:
+            config = _config_of(arm, settings)
+        jobs.append(Job([override.setting for override in settings], config, RUNS / name))
+    return jobs
+
+
+def _config_of(arm: str, settings: Sequence[Override]) -> DictConfig:
     try:
-        config = parsed_for_training([*parsed, *settings])
+        return parsed_for_training(settings)
     except BadInput as error:
         raise BadInput(f"study.arms.{arm}: {error}") from None
-    return Job([override.setting for override in [*parsed, *settings]], config, RUNS / name)
 
 
 def _elsewhere(key: str) -> str:

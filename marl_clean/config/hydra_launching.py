@@ -52,6 +52,8 @@ ConfigStore.instance().store(
 
 def check_launching(overrides: Sequence[Override]) -> None:
     """Raises BadInput where settings of Hydra's own name a level or key that does not exist."""
+    if not overrides:
+        return
     with hydra_here() as hydra:
         for override in overrides:
             if override.is_sweep:
@@ -59,10 +61,11 @@ def check_launching(overrides: Sequence[Override]) -> None:
             if "/" in override.key:
                 _check_level(override, hydra.config_loader.get_group_options(override.key))
         levels = [override for override in overrides if "/" in override.key]
-        known: Any = _for_launching(hydra, levels)
-        for override in overrides:
-            if "/" not in override.key:
-                _check_key(override.key, known)
+        if len(levels) < len(overrides):
+            known: Any = _for_launching(hydra, levels)
+            for override in overrides:
+                if "/" not in override.key:
+                    _check_key(override.key, known)
         _for_launching(hydra, overrides)
 
 

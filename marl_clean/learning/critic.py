@@ -12,6 +12,7 @@ from torchrl.modules import PopArtValueNorm
 
 from marl_clean import keys
 from marl_clean.encoder.base import Encoder
+from marl_clean.learning.arithmetic import reduced_for
 from marl_clean.settings import Precision, Recurrence
 
 Knows = Literal["local", "robots", "state"]
@@ -79,7 +80,7 @@ class Critic(nn.Module):
     ) -> None:
         super().__init__()
         self.encoder, self.knows = _fresh(encoder), knows
-        self.reduced = precision == "bfloat16"
+        self.precision: Precision = precision
         width = encoder.out_features
         joined = width if knows == "local" else 2 * width
         self.head = nn.Sequential(nn.Linear(joined, width), nn.ReLU(), nn.Linear(width, 1))
@@ -110,7 +111,7 @@ class Critic(nn.Module):
         state: Bool[Tensor, "*batch plane row col"] | None = None,
     ) -> Float[Tensor, "*batch agent joined"]:
         """Return the features of each robot's state, before memory and head."""
-        with torch.autocast(observation.device.type, torch.bfloat16, enabled=self.reduced):
+        with reduced_for(observation, self.precision):
             feature = self.encoder(observation)
         feature = feature.float()
         if self.knows == "local":

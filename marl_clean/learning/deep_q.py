@@ -56,7 +56,7 @@ class DeepQ(Agent):
             `target_period` updates.
         eps_init, eps_end, annealing_fraction: the share of random actions falls linearly from
             the one to the other over this fraction of the frames, and stays.
-        precision: the encoder's arithmetic; bfloat16 is faster.
+        precision: the encoder's arithmetic; bfloat16 is faster, on devices that have it.
         mask_walls: no action into a cell known to be blocked is considered, in targets neither.
         augment: learn from each frame rotated or mirrored, alike for all its robots.
         messages: in learning, made anew by the present weights, or those that were sent; of the

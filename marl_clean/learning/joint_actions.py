@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from marl_clean.encoder.base import Encoder
+from marl_clean.learning.arithmetic import reduced_for
 from marl_clean.learning.networks import NUM_ACTIONS, duel, masked
 from marl_clean.settings import Precision
 
@@ -32,7 +33,7 @@ class JointQNetwork(nn.Module):
         outputs = num_actions**n_agents
         self.encoder = encoder
         self.dueling = dueling
-        self.reduced = precision == "bfloat16"
+        self.precision: Precision = precision
         hidden = 2 * width  # as much as two robots' features, whatever their number
         self.join = nn.Sequential(nn.Linear(n_agents * width, hidden), nn.ReLU())
         self.head = nn.Linear(hidden, outputs + dueling)
@@ -42,7 +43,7 @@ class JointQNetwork(nn.Module):
         observation: Float[Tensor, "..."],
         allowed: Bool[Tensor, "*batch joint_action"] | None = None,
     ) -> Float[Tensor, "*batch joint_action"]:
-        with torch.autocast(observation.device.type, torch.bfloat16, enabled=self.reduced):
+        with reduced_for(observation, self.precision):
             feature = self.encoder(observation)
         value = self.head(self.join(feature.float().flatten(-2)))
         value = duel(value) if self.dueling else value

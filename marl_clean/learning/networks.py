@@ -16,6 +16,7 @@ from marl_clean.channel.delayed import Later
 from marl_clean.channel.perfect import Perfect
 from marl_clean.comm.base import Comm, Delivery, NoisyWhileLearning, Senders, Talk
 from marl_clean.encoder.base import Encoder
+from marl_clean.learning.arithmetic import reduced_for
 from marl_clean.learning.delivery import Repeated, Stacked, state_keys
 from marl_clean.settings import Precision
 
@@ -106,7 +107,7 @@ class RobotsNetwork(nn.Module):
         self.encoder = encoder
         self.comm = comm
         self.mask_walls = mask_walls
-        self.reduced = precision == "bfloat16"
+        self.precision: Precision = precision
         self.head = nn.Linear(comm.out_features, outputs)
         crossed = {name: each for name, each in channels.items() if not isinstance(each, Perfect)}
         if comm.delay_steps:
@@ -166,7 +167,7 @@ class RobotsNetwork(nn.Module):
 
     def encode(self, observation: Float[Tensor, "..."]) -> Float[Tensor, "*batch agent feature"]:
         """Return what the encoder makes of observations, in its own precision."""
-        with torch.autocast(observation.device.type, torch.bfloat16, enabled=self.reduced):
+        with reduced_for(observation, self.precision):
             feature = self.encoder(observation)
         return feature.float()
 

@@ -74,7 +74,7 @@ class Ppo(Agent):
         normalize_advantage: to mean 0 and deviation 1 in each minibatch.
         lr, lr_end: Adam's step size, falling linearly over the run.
         max_grad_norm: gradients are scaled down to this norm.
-        precision: the encoders' arithmetic; bfloat16 is faster.
+        precision: the encoders' arithmetic; bfloat16 is faster, on devices that have it.
         mask_walls: no action into a cell known to be blocked is considered.
         zero_head: the policy's last layer begins with zeros, so that all actions are as likely.
         play: measured and watched is the most likely action, or one drawn by what frames hold for

@@ -64,7 +64,7 @@ def check(level: str, changes: dict, channels: dict[str, dict], memory: str, bac
     dims = tuple(comm.message_dims)
     stack = {name: make_channel(name, dims, some) for name, some in channels.items()}
     torch.compiler.reset()  # each is a network of its own, and so many are not kept
-    network = QNetwork(encoder, comm, dueling=True, precision="float32", channels=stack)
+    network = QNetwork(encoder, comm, dueling=True, precision="bfloat16", channels=stack)
     network.eval()  # bits and gates are drawn while learning
     compiled = torch.compile(network, fullgraph=True, backend=backend)
     seen = entries(network)

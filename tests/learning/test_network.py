@@ -7,6 +7,7 @@ from marl_clean.channel.delayed import Delayed
 from marl_clean.channel.lossy import Lossy
 from marl_clean.comm.base import Senders
 from marl_clean.errors import BadInput
+from marl_clean.learning import arithmetic
 from marl_clean.learning.networks import QNetwork
 from tests.agent.parts import by_key, frames, make_comm, make_encoder
 
@@ -33,12 +34,24 @@ def test_a_value_for_every_robot_and_action(dueling):
     assert carried == {}
 
 
-def test_bfloat16_gives_nearly_the_same_values_in_float32():
+@pytest.mark.parametrize("has", [True, False])
+def test_bfloat16_gives_nearly_the_same_values_in_float32(monkeypatch, has):
+    """Exactly the same on a device without it, which computes float32."""
+    monkeypatch.setattr(arithmetic, "computes_bfloat16", lambda device: has)
     batch = by_key(frames(4))
     exact, reduced = network()(batch).out, network(precision="bfloat16")(batch).out
     assert reduced.dtype == torch.float32
-    assert not torch.equal(exact, reduced)
+    assert torch.equal(exact, reduced) != has
     torch.testing.assert_close(exact, reduced, atol=0.02, rtol=0.02)
+
+
+def test_a_device_says_whether_it_has_bfloat16(monkeypatch):
+    found = {"avx2": True, "avx512_bf16": False, "amx_bf16": False}
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: found)
+    asked = arithmetic._asked.__wrapped__
+    assert not asked("cpu")
+    found["amx_bf16"] = True
+    assert asked("cpu")
 
 
 def over(*channels: Delayed | Lossy) -> QNetwork:
