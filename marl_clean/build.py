@@ -1,6 +1,5 @@
 """From a config to live objects: the one place where the rooms are put together."""
 
-from bisect import bisect_right
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from marl_clean.env.transformed import TransformedWorlds
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses, draw_bank, draw_houses, smallest_first, split_seeds
 from marl_clean.learning.agent import Agent
+from marl_clean.learning.width import widest_within
 from marl_clean.planner.base import Planner
 from marl_clean.settings import HouseOrder
 from marl_clean.storage.checkpoint import fit_weights, load_weights
@@ -235,7 +235,6 @@ def as_wide_as_allowed(cfg: DictConfig, env: TransformedEnv) -> DictConfig:
     Raises:
         BadInput: not even one feature fits.
     """
-    budget = cfg.parameter_budget
     sized = cfg.copy()
     sized.parameter_budget = None
 
@@ -245,15 +244,7 @@ def as_wide_as_allowed(cfg: DictConfig, env: TransformedEnv) -> DictConfig:
             weights = _agent(sized, env).network.named_parameters()
         return sum(w.numel() for name, w in weights if not name.startswith("channel."))
 
-    if (least := size(1)) > budget:
-        raise BadInput(
-            f"parameter_budget={budget}: the rest of the network has {least} already; give more"
-        )
-    too_wide = 2
-    while size(too_wide) <= budget:
-        too_wide *= 2
-    allowed = range(too_wide // 2, too_wide)
-    width = allowed[bisect_right(allowed, budget, key=size) - 1]
+    width = widest_within(cfg.parameter_budget, size)
     sized.encoder.hidden = [*cfg.encoder.hidden[:-1], width]
     return sized
 

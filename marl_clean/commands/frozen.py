@@ -133,8 +133,8 @@ def check_unchanged(frozen: Frozen, now: Mapping[str, Any]) -> None:
 
 def _change(old: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
     """The first difference in words; settings count by what they compose to."""
-    for key in now["study"]:
-        if key not in ("arms", "question") and (text := _differing(old, now, "study", key)):
+    for key in sorted(now["study"].keys() - {"arms", "question", "oracle"}):
+        if text := _differing(old, now, "study", key):
             return text
     if list(old["arms"]) != list(now["arms"]) and set(old["arms"]) != set(now["arms"]):
         return f"arms {', '.join(old['arms'])}, not {', '.join(now['arms'])}"

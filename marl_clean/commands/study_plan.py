@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import Any, get_type_hints
 
 from marl_clean.config.schema import Problem, choices, problems_of_mapping
+from marl_clean.config.sections import Study, StudyRule
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.paired import FINISHED
 from marl_clean.evaluation.records import MEASURES
 from marl_clean.evaluation.rules import CLAIMS, Claim, Form
-from marl_clean.settings import Study, StudyRule
 
 PLANNERS = ("random", "nearest_unknown", "nearest_unknown+greedy")
 """Measured beside every run, on the same houses: an arm may be compared with one of them."""
@@ -68,10 +68,15 @@ def read_study(section: Mapping[str, Any]) -> tuple[dict[str, Any], list[Rule]]:
         "budget": None,
         "houses": None,
         "baseline": next(iter(arms)),
+        "oracle": None,
         "confidence": CONFIDENCE,
         **section,
     }
     _check_name("study.baseline", filled["baseline"], arms)
+    if filled["oracle"] is not None:
+        _check_name("study.oracle", filled["oracle"], arms)
+        if filled["oracle"] == filled["baseline"]:
+            raise BadInput(f"study.oracle: {filled['oracle']} is the baseline; name another arm")
     _check_name("study.measure", filled["measure"], VALID)
     return filled, [_rule(str(name), rule, filled) for name, rule in section["rules"].items()]
 

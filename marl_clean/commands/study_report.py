@@ -3,7 +3,8 @@
 The page is of exactly the registered runs; one that failed or is missing stays in the table.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from glob import glob
 from pathlib import Path
 
 from rich import box
@@ -17,10 +18,13 @@ from marl_clean.commands.gathering import World, gather, rows_of
 from marl_clean.commands.report import NOTE, ON_PAGE, content_of, origin_of, write
 from marl_clean.commands.run_info import State
 from marl_clean.commands.study import STUDIES
+from marl_clean.commands.twins import add_gains
 from marl_clean.commands.verdicts import Run, Verdict, judge, runs_of
 from marl_clean.config.stored import CONFIG, RUNS
 from marl_clean.errors import BadInput
+from marl_clean.evaluation.gains import gain_cells
 from marl_clean.evaluation.paired import Row, values
+from marl_clean.evaluation.records import MEASURED
 from marl_clean.evaluation.rules import Effect
 from marl_clean.evaluation.table import NONE, output
 from marl_clean.report.html import Part, render
@@ -31,6 +35,13 @@ RULES = (
     "{alpha:g} and the estimate lies on the rule's side; not met: on the other side; undecided: "
     "neither, or a run is missing. Interval and p are of a t test over seeds and houses; with one "
     "seed they hold for these weights only."
+)
+
+GAINS = (
+    "Recovered: (S - arm) / (S - O), S: {silent}, O: {oracle}, over the seeds that all have, with "
+    "95 % intervals; no headroom: S - O is not clearly above 0. Protocols: the share of seeds that "
+    "beat their silent twin in T_90 and lose the gain with messages zeroed, which "
+    "`evaluate intervention=zero` measures."
 )
 
 
@@ -76,7 +87,7 @@ def main(
     ]
     parts = [part_of(frozen, runs, verdicts), arms_part(frozen)]
     measured, replays = content_of(list(worlds.values()), comparisons) if worlds else ([], [])
-    every = [*parts, *measured]
+    every = [*parts, *gains_of(frozen, worlds, comparisons), *measured]
     origin = origin_of(comparisons)
     page = render(f"Study {folder.name}", notes_of(frozen), every, replays, origin)
     write(out or folder / "report.html", page, console)
@@ -98,6 +109,25 @@ def compared(key: str, world: World, against: str | None, baseline: str) -> Worl
     if against is None and baseline in labels and len(labels) > 1:
         against = baseline
     return comparison_of(key, world, against, ON_PAGE)
+
+
+def gains_of(
+    frozen: Frozen, worlds: Mapping[str, World], comparisons: Sequence[WorldComparison]
+) -> list[Part]:
+    """What each arm recovers of the way from the baseline to the oracle, once there are both."""
+    study = frozen.study
+    if study["oracle"] is None:
+        return []
+    finished = [f"{frozen.folder}/{study[end]}-s[0-9]*" for end in ("baseline", "oracle")]
+    if any(not glob(f"{runs}/{MEASURED}") for runs in finished):
+        return []
+    statistics = [world.statistics for world in comparisons]
+    add_gains(list(worlds.values()), statistics, *finished)
+    rows = [row for rows in statistics for row in rows if "recovered" in row]
+    titles, *cells = gain_cells(rows)
+    table = [["arm", *titles], *([row["row"], *own] for row, own in zip(rows, cells, strict=True))]
+    text = GAINS.format(silent=study["baseline"], oracle=study["oracle"])
+    return [Part("Recovered", text, [("Recovered", table)])]
 
 
 def part_of(frozen: Frozen, runs: Sequence[Run], verdicts: Sequence[Verdict]) -> Part:
@@ -123,6 +153,7 @@ def arms_part(frozen: Frozen) -> Part:
         "houses": study["houses"],
         "measure": study["measure"],
         "baseline": study["baseline"],
+        "oracle": study["oracle"],
     }
     listed = "; ".join(f"{key}: {value}" for key, value in words.items() if value is not None)
     return Part("Registered", f"{listed}.", [("Arms", rows)])

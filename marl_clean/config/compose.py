@@ -16,8 +16,8 @@ from marl_clean.config.hydra_adapter import Override, first_line
 from marl_clean.config.levels import EXPERIMENT, PRESETS, SEVERAL, groups, level_file, rooms
 from marl_clean.config.overrides import check_single_values, parse_overrides
 from marl_clean.config.presets import read_preset
+from marl_clean.config.sections import Evaluation, Root
 from marl_clean.errors import BadInput
-from marl_clean.settings import Evaluation, Root
 
 PERFECT = {"perfect": {"_target_": "marl_clean.channel.perfect.Perfect"}}
 

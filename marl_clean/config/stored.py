@@ -26,8 +26,8 @@ from marl_clean.config.levels import (
 from marl_clean.config.locate import own
 from marl_clean.config.overrides import parse_overrides
 from marl_clean.config.schema import mismatch
+from marl_clean.config.sections import LaterEvaluation, Root
 from marl_clean.errors import BadInput
-from marl_clean.settings import LaterEvaluation, Root
 from marl_clean.storage.manifest import weights_sha256
 from marl_clean.storage.safe_yaml import load_yaml
 

@@ -40,8 +40,6 @@ from marl_clean.settings import (
 )
 
 DONE, TERMINATED = (keys.AGENTS, keys.DONE), (keys.AGENTS, keys.TERMINATED)
-
-
 MEASURED = ("loss_critic", "entropy", "kl_approx", "clip_fraction", "imitation")
 
 

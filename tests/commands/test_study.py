@@ -48,7 +48,7 @@ STUDY: dict[str, Any] = {
         "finishes": {"arm": "plan", "measure": "finished", "above": 0.9},
     },
 }
-MEANS = {"silent": 1000, "plan": 800}  # planted T_90
+MEANS = {"silent": 1000, "plan": 800, "oracle": 700}  # planted T_90
 PLANNER = 860
 FOLDER = Path("runs/studies/quick")
 
@@ -111,7 +111,7 @@ def test_a_study_may_be_a_file_anywhere(trained, tmp_path):
     quiet = Console(file=io.StringIO())
     assert study.main(str(path), ["hydra/launcher=basic"], quiet) == 0
     folder = Path("runs/studies/delay")
-    assert trained == [f"{arm}-s{seed}" for arm in MEANS for seed in (1, 2, 3)]
+    assert trained == [f"{arm}-s{seed}" for arm in STUDY["arms"] for seed in (1, 2, 3)]
     assert verdicts(folder)["sooner"] is Outcome.MET
     own = load_config(folder / "plan-s2")
     expected = compose_config(["comm=plan", "seed=2", "trainer.total_frames=10_000"])
@@ -141,7 +141,7 @@ def test_a_file_that_is_no_study_is_one_line(tmp_path, content, message):
 def test_a_study_is_run_and_its_rules_are_decided(trained, monkeypatch):
     code, out = run(monkeypatch)
     assert code == 0 and "6 jobs: 6 finished" in out
-    assert trained == [f"{arm}-s{seed}" for arm in MEANS for seed in (1, 2, 3)]
+    assert trained == [f"{arm}-s{seed}" for arm in STUDY["arms"] for seed in (1, 2, 3)]
     assert verdicts() == {
         "sooner": Outcome.MET,
         "much_sooner": Outcome.NOT_MET,
@@ -255,6 +255,8 @@ def test_a_study_changed_by_hand_is_one_line(trained, monkeypatch, capsys):
         ({"arms": {}}, "study.arms: is empty"),
         ({"rules": {}}, "study.rules: is empty"),
         ({"seeds": []}, "study.seeds: must be a list"),
+        ({"oracle": "all"}, "study.oracle: all: no such one"),
+        ({"oracle": "a"}, "study.oracle: a is the baseline"),
         ({"seeds": [1, 1]}, "study.seeds: 1 stands there twice"),
         ({"arms": {"a/b": []}}, "study.arms.a/b: must be named by letters"),
         ({"arms": {"random": []}}, "study.arms.random: is the name of a planner"),
@@ -348,3 +350,26 @@ def test_shipped_studies_are_valid():
         if (section := study_of(path)) is not None:
             _, rules = read_study(section)
             assert all(rule.says for rule in rules)
+
+
+@pytest.mark.slow
+def test_an_oracle_is_screened_first_and_shares_are_recovered_from_it(trained, monkeypatch):
+    """Where all share a map, merged maps tell nobody anything new."""
+    arms = {**STUDY["arms"], "oracle": ["env.memory=merged", "topology=full"]}
+    code, out = run(monkeypatch, changed(arms=arms, oracle="oracle"))
+    assert code == 0 and len(trained) == 9
+    nothing = "study.oracle: nothing to win: T_90 of nearest_unknown is"
+    assert nothing in out and "in arms silent and oracle, not clearly better in 50" in out
+    page = (FOLDER / "report.html").read_text()
+    assert "<h2>Recovered</h2>" in page.replace(' class="', "")
+    assert "0.67 [0.6" in page  # (1000 - 800) / (1000 - 700)
+    code, out = run(monkeypatch, changed(arms=arms, oracle="oracle"))
+    assert code == 0 and "nothing to win" not in out  # it is frozen
+
+
+@pytest.mark.slow
+def test_an_oracle_that_gains_is_no_news(trained, monkeypatch):
+    arms = {"silent": ["env.memory=private"], "oracle": ["env.memory=merged", "topology=full"]}
+    rules = {"wins": {"arm": "oracle", "ratio_below": 0.9}}
+    code, out = run(monkeypatch, changed(arms=arms, rules=rules, oracle="oracle"))
+    assert code == 0 and "nothing to win" not in out

@@ -10,7 +10,7 @@ from hydra import initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
 from marl_clean import settings
-from marl_clean.config import class_source, levels, schema
+from marl_clean.config import class_source, levels, schema, sections
 from marl_clean.config.compose import checked, compose_config, resolved
 from marl_clean.config.config_hash import config_hash
 from marl_clean.config.overrides import parse_overrides
@@ -21,13 +21,13 @@ from tests.families import family
 
 def keys_and_types(config: DictConfig) -> dict[str, typing.Any]:
     """Every key a user can set, with the type its constructor declares."""
-    types = dict(typing.get_type_hints(settings.Root, include_extras=True))
-    evaluation = typing.get_type_hints(settings.Evaluation, include_extras=True)
+    types = dict(typing.get_type_hints(sections.Root, include_extras=True))
+    evaluation = typing.get_type_hints(sections.Evaluation, include_extras=True)
     types |= {f"evaluation.{name}": annotation for name, annotation in evaluation.items()}
-    sections = {room: config[room] for room in levels.rooms() if room not in levels.SEVERAL}
+    of_rooms = {room: config[room] for room in levels.rooms() if room not in levels.SEVERAL}
     for room in levels.SEVERAL:
-        sections |= {f"{room}.{name}": section for name, section in config[room].items()}
-    for name, section in sections.items():
+        of_rooms |= {f"{room}.{name}": section for name, section in config[room].items()}
+    for name, section in of_rooms.items():
         accepted = class_source.parameters(section["_target_"])
         types |= {f"{name}.{key}": accepted[key].annotation for key in section if key in accepted}
     return types
