@@ -241,12 +241,17 @@ def as_wide_as_allowed(cfg: DictConfig, env: TransformedEnv) -> DictConfig:
     def size(width: int) -> int:
         sized.encoder.hidden = [*cfg.encoder.hidden[:-1], width]
         with torch.random.fork_rng([]):
-            weights = _agent(sized, env).network.named_parameters()
-        return sum(w.numel() for name, w in weights if not name.startswith("channel."))
+            return count_weights(_agent(sized, env))
 
     width = widest_within(cfg.parameter_budget, size)
     sized.encoder.hidden = [*cfg.encoder.hidden[:-1], width]
     return sized
+
+
+def count_weights(agent: Agent) -> int:
+    """Return the weights of encoder, scheme and head, which `parameter_budget` bounds."""
+    named = agent.network.named_parameters()
+    return sum(w.numel() for name, w in named if not name.startswith("channel."))
 
 
 def ready_for(agent: Agent, env: TransformedEnv) -> TransformedEnv:

@@ -4,6 +4,7 @@ import os
 import platform
 import subprocess
 from contextlib import suppress
+from functools import cache
 from importlib import metadata
 from json import JSONDecodeError, loads
 from pathlib import Path
@@ -15,6 +16,7 @@ DISTRIBUTIONS = (
     *("torch", "torchrl", "tensordict", "numpy", "scipy", "numba", "hydra-core", "omegaconf"),
     *("pettingzoo", "mpe2"),
 )  # whose version may change a run's result
+OURS = "marl_clean"  # as package and, but for a hyphen, as distribution
 CPU_INFO = Path("/proc/cpuinfo")
 GIT_SECONDS = 20
 
@@ -29,10 +31,20 @@ def code() -> dict[str, dict[str, Any]]:
 
 def version_of(package: str) -> str | None:
     """The version of the distribution that an imported package comes from."""
-    names = metadata.packages_distributions().get(package, [package])
     with suppress(metadata.PackageNotFoundError):
-        return metadata.version(names[0])
+        return metadata.version(_distribution_of(package))
     return None
+
+
+@cache
+def _distribution_of(package: str) -> str:
+    """The distribution that a package comes from, its own name where it is not installed.
+
+    To ask for those of all packages reads every file list of the environment, half a second.
+    """
+    if package == OURS:
+        return OURS
+    return metadata.packages_distributions().get(package, [package])[0]
 
 
 def git_state(package: Path) -> dict[str, Any]:
@@ -65,9 +77,9 @@ def _git(folder: Path, *arguments: str) -> str | None:
 
 def _commit_of_install(package: str) -> str | None:
     """The commit in `direct_url.json` (PEP 610) of a package that pip installed from git."""
-    names = metadata.packages_distributions().get(package, [package])
+    distribution = _distribution_of(package)
     with suppress(metadata.PackageNotFoundError, JSONDecodeError, AttributeError, TypeError):
-        noted = loads(metadata.distribution(names[0]).read_text("direct_url.json") or "{}")
+        noted = loads(metadata.distribution(distribution).read_text("direct_url.json") or "{}")
         return noted.get("vcs_info", {}).get("commit_id")
     return None
 

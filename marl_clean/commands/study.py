@@ -23,7 +23,7 @@ from marl_clean.commands.frozen import (
 )
 from marl_clean.commands.shorthand import with_floor_plans
 from marl_clean.commands.study_plan import PLANNERS, Rule, read_study
-from marl_clean.commands.study_screen import nothing_to_win
+from marl_clean.commands.study_screen import nothing_to_win, unequal_sizes
 from marl_clean.commands.sweep import Job, run_jobs, runs_here, split
 from marl_clean.config.compose import has_houses
 from marl_clean.config.config_hash import config_hash, container
@@ -72,8 +72,10 @@ def main(preset: str, settings: Sequence[str], console: Console | None = None) -
     for job in every:
         check_all(job.config, training=True, here=runs_here(of_hydra))
     if not is_frozen:
-        if line := nothing_to_win(study, {arm: seeds[0] for arm, seeds in configs.items()}):
-            (console or output()).print(line, soft_wrap=True)
+        firsts = {arm: seeds[0] for arm, seeds in configs.items()}
+        for line in (nothing_to_win(study, firsts), unequal_sizes(firsts)):
+            if line is not None:
+                (console or output()).print(line, soft_wrap=True)
         freeze(folder, now)
     labels = {job.config.name: Path(job.config.name).name for job in every}
     code = run_jobs(every, of_hydra, labels, console)

@@ -1,4 +1,4 @@
-"""Whether a study has anything to win: its baseline and its oracle, played by a planner."""
+"""What is said of a study before it is run: whether there is anything to win, and unequal arms."""
 
 import copy
 from collections.abc import Mapping
@@ -12,6 +12,7 @@ from marl_clean.evaluation.records import Entry, sample
 from marl_clean.evaluation.statistics import paired_difference
 
 HOUSES = 50
+UNEQUAL = 1.1
 MORE_IS_BETTER = ("coverage", "coverage_auc", "spill_cleaned", "balance", "return")
 
 
@@ -38,6 +39,29 @@ def nothing_to_win(study: Mapping[str, Any], configs: Mapping[str, DictConfig]) 
         f"study.oracle: nothing to win: {measure} of {entries[0]['policy']} is {numbers} in arms"
         f" {silent} and {oracle}, not clearly better in {HOUSES} validation houses"
     )
+
+
+def unequal_sizes(configs: Mapping[str, DictConfig]) -> str | None:
+    """Return a line where the arms' networks differ in size by more than a tenth, else None."""
+    sizes = {arm: _weights(config) for arm, config in configs.items()}
+    least, most = min(sizes, key=sizes.__getitem__), max(sizes, key=sizes.__getitem__)
+    if sizes[most] <= UNEQUAL * sizes[least]:
+        return None
+    return (
+        f"study.arms: networks of {sizes[least]:,} weights in {least} and {sizes[most]:,} in"
+        f" {most}; parameter_budget={sizes[most]} makes all as large"
+    )
+
+
+def _weights(config: DictConfig) -> int:
+    import torch
+
+    from marl_clean import build
+
+    small = copy.deepcopy(config)
+    small.train_houses = 1
+    with torch.random.fork_rng([]):
+        return build.count_weights(build.make_agent(small, build.make_env(small, num_envs=1)))
 
 
 def _by_planner(config: DictConfig) -> Entry:

@@ -142,18 +142,19 @@ def test_single_rooms_have_no_wall_inside() -> None:
 
 
 def learners_and_schemes() -> list[tuple[str, str]]:
-    """Every learner with its first scheme, every scheme with the first learner that takes it."""
+    """Every scheme once, with the learners that take it in turn; what is left of them with one."""
     schemes = sorted(path.stem for path in (conf_folder() / "comm").glob("[!_]*.yaml"))
     learners = {
         path.stem: (constant(OmegaConf.load(path)["_target_"], "fits") or {}).get("comm", schemes)
         for path in sorted((conf_folder() / "agent").glob("[!_]*.yaml"))
     }
-    pairs = [(learner, fitting[0]) for learner, fitting in learners.items()]
-    pairs += [
-        (next(learner for learner, fitting in learners.items() if scheme in fitting), scheme)
-        for scheme in schemes
-    ]
-    return sorted(set(pairs))
+    pairs: list[tuple[str, str]] = []
+    for scheme in schemes:
+        fitting = [learner for learner, takes in learners.items() if scheme in takes]
+        taken = [learner for learner, _ in pairs]
+        pairs.append((min(fitting, key=taken.count), scheme))
+    left = learners.keys() - {learner for learner, _ in pairs}
+    return sorted([*pairs, *((learner, learners[learner][0]) for learner in left)])
 
 
 def only_load(config: DictConfig, folder: Path) -> list[Entry]:

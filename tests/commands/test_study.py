@@ -361,6 +361,7 @@ def test_an_oracle_is_screened_first_and_shares_are_recovered_from_it(trained, m
     nothing = "study.oracle: nothing to win: T_90 of nearest_unknown is"
     assert nothing in out and "in arms silent and oracle, not clearly better in 50" in out
     page = (FOLDER / "report.html").read_text()
+    assert "study.arms: networks of" in out and "weights in silent and" in out
     assert "<h2>Recovered</h2>" in page.replace(' class="', "")
     assert "0.67 [0.6" in page  # (1000 - 800) / (1000 - 700)
     code, out = run(monkeypatch, changed(arms=arms, oracle="oracle"))
@@ -372,4 +373,4 @@ def test_an_oracle_that_gains_is_no_news(trained, monkeypatch):
     arms = {"silent": ["env.memory=private"], "oracle": ["env.memory=merged", "topology=full"]}
     rules = {"wins": {"arm": "oracle", "ratio_below": 0.9}}
     code, out = run(monkeypatch, changed(arms=arms, rules=rules, oracle="oracle"))
-    assert code == 0 and "nothing to win" not in out
+    assert code == 0 and "nothing to win" not in out and "networks of" not in out
