@@ -178,7 +178,7 @@ def test_training_records_itself_once(tmp_path: Path, monkeypatch: pytest.Monkey
     command = (
         "train +experiment=quick name=run trainer.total_frames=256 evaluation.houses=2"
         " trainer.eval_interval_frames=256 trainer.log_interval_frames=128"
-        " trainer.start_frames=64 evaluation.plans=[] train_houses=8"
+        " trainer.start_frames=64 evaluation.plans=[] train_houses=8 env.max_steps=20"
     )
     monkeypatch.setattr(train_command, "draw", lambda cfg, folder: None)
     for _ in range(2):  # the second time it is finished

@@ -6,15 +6,17 @@ from pathlib import Path
 import pytest
 
 from marl_clean import cli
+from marl_clean.commands import train
 
 RUN = (
     "train +experiment=quick name=run trainer.total_frames=128 trainer.eval_interval_frames=128"
     " trainer.log_interval_frames=128 trainer.start_frames=64 evaluation.houses=2"
-    " evaluation.plans=[] train_houses=8 logger=[csv]"
+    " evaluation.plans=[] train_houses=8 logger=[csv] env.max_steps=20"
 ).split()
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("unchecked")
 def test_a_torn_evaluation_is_measured_again_and_another_version_is_left(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -22,6 +24,7 @@ def test_a_torn_evaluation_is_measured_again_and_another_version_is_left(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(train, "draw", lambda config, folder: None)
     assert cli.main(RUN) == 0
     result = Path("runs/run/evaluation.json")
     whole = result.read_bytes()

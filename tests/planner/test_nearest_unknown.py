@@ -41,7 +41,7 @@ def follow(case: Case, planner: Planner, compare) -> None:
 
 @pytest.mark.slow
 @given(case=cases(max_agents=4), assignment=st.sampled_from([Assignment.NONE, Assignment.GREEDY]))
-@hypothesis_settings(max_examples=60, deadline=None)
+@hypothesis_settings(max_examples=40, deadline=None)
 def test_actions_are_those_of_breadth_first_search(case: Case, assignment: Assignment) -> None:
     def compare(planner: NearestUnknown, world: reference.World, actions: list[int]) -> None:
         for action, expected in zip(

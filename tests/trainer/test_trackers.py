@@ -16,7 +16,7 @@ BLOCK = 2**15
 RUN = (
     "train +experiment=quick name=run trainer.total_frames=256 trainer.eval_interval_frames=256"
     " trainer.log_interval_frames=128 trainer.start_frames=64 evaluation.houses=2"
-    " evaluation.plans=[] train_houses=8"
+    " evaluation.plans=[] train_houses=8 env.max_steps=20"
 )
 
 
