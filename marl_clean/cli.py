@@ -87,6 +87,13 @@ def evaluate(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def verify(arguments: argparse.Namespace) -> int:
+    """repeat a run's first updates: are its weights the same here, bit for bit?"""
+    from marl_clean.commands import verify as command
+
+    return command.main(arguments.run)
+
+
 def watch(arguments: argparse.Namespace) -> int:
     """show one episode in the terminal, of checkpoint=RUN or planner=NAME"""
     from marl_clean.config.stored import compose_for_policy
@@ -159,13 +166,8 @@ def runs(arguments: argparse.Namespace) -> int:
     """list what is in runs/: state, seed, score, size, age; --clean removes what is not needed"""
     from marl_clean.commands import runs as command
 
-    command.main(
-        arguments.patterns,
-        arguments.state or (),
-        arguments.preset or (),
-        arguments.clean,
-        arguments.yes,
-    )
+    chosen = (arguments.state or (), arguments.preset or ())
+    command.main(arguments.patterns, *chosen, arguments.clean, arguments.yes)
     return 0
 
 
@@ -195,15 +197,10 @@ def list_levels(arguments: argparse.Namespace) -> int:
 
 def doctor(arguments: argparse.Namespace) -> int:
     """what is installed, what is missing, how to fix it"""
-    from marl_clean.commands.doctor import findings
+    from marl_clean.commands.doctor import findings, lines_of
 
     report = list(findings())
-    width = max(len(finding.name) for finding in report)
-    lines = []
-    for finding in report:
-        remedy = f"  -> {finding.remedy}" if finding.remedy else ""
-        lines.append(f"{finding.name:{width}}  {finding.state}{remedy}")
-    _write(lines)
+    _write(lines_of(report))
     return int(any(finding.remedy for finding in report))
 
 
@@ -212,6 +209,7 @@ COMMANDS = {
     "tune": tune,
     "study": study,
     "evaluate": evaluate,
+    "verify": verify,
     "watch": watch,
     "figure": figure,
     "compare": compare,

@@ -6,7 +6,7 @@ from typing import NoReturn
 
 from marl_clean.errors import BadInput
 
-WITHOUT_SETTINGS = ("list", "doctor", "compare", "report", "matrix", "runs")
+WITHOUT_SETTINGS = ("list", "doctor", "compare", "report", "matrix", "runs", "verify")
 RUN = {
     "compare": "finished runs, or exports",
     "report": "finished runs, or exports; or one study, by its name or folder",
@@ -46,6 +46,8 @@ def parser_of(name: str, does: str, shows_help: bool = False) -> Parser:
         parser.add_argument("name", metavar="NAME", help="the figure, such as paper_1")
     if name == "study":
         parser.add_argument("name", metavar="NAME", help="a preset or yaml file with a `study`")
+    if name == "verify":
+        parser.add_argument("run", metavar="RUN", help="a run, by folder or name")
     if name == "train":
         parser.add_argument("-m", "--multirun", action="store_true", help="all combinations")
     if name in ("compare", "report"):

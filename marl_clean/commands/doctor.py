@@ -3,7 +3,7 @@
 import os
 import platform
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import metadata, util
 
@@ -32,6 +32,16 @@ def findings() -> Iterator[Finding]:
     yield _conf()
     yield from _distributions()
     yield from _device()
+
+
+def lines_of(report: Sequence[Finding]) -> list[str]:
+    """A line of each finding, its remedy at the end."""
+    width = max(len(finding.name) for finding in report)
+    remedies = (f"  -> {finding.remedy}" if finding.remedy else "" for finding in report)
+    return [
+        f"{finding.name:{width}}  {finding.state}{remedy}"
+        for finding, remedy in zip(report, remedies, strict=True)
+    ]
 
 
 def _conf() -> Finding:

@@ -37,6 +37,7 @@ from marl_clean.storage import files, manifest
 from marl_clean.storage.lock import locked
 from marl_clean.trainer._outcome import Outcome
 from marl_clean.trainer._share import share_maker
+from marl_clean.trainer.first_updates import FirstUpdates
 
 GIF = "replay.gif"
 log = logging.getLogger(__name__)
@@ -91,11 +92,12 @@ def train(
     folder: Path,
     begin: Callable[[], None],
     more_loggers: Sequence[Logger] = (),
+    first_updates: FirstUpdates | None = None,
 ) -> Outcome:
     """Train until the budget is spent; the folder is made when everything is built.
 
     `begin` is called then, unless the run is finished. `more_loggers` log beside those of the
-    config; what one raises ends the training.
+    config; what one raises ends the training. `first_updates`: what notes them.
     """
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it reports every buffer it makes
     torch.manual_seed(cfg.seed)
@@ -125,6 +127,7 @@ def train(
         folder,
         start_is_candidate=cfg.checkpoint is not None,
         make_share=share_maker(cfg),
+        first_updates=first_updates,
     )
 
 

@@ -27,7 +27,7 @@ from marl_clean.learning.agent import Agent
 from marl_clean.settings import Collectors, StatesOf
 from marl_clean.trainer._annealing import Annealing
 from marl_clean.trainer._collecting import CarriedCollector, collector_settings
-from marl_clean.trainer._collectors import Collecting, Moment, restore_into, state_of
+from marl_clean.trainer._collectors import Collecting, InTheTrainer, Moment, restore_into, state_of
 from marl_clean.trainer._random import random_state, restore_random
 from marl_clean.trainer._share import MakeShare, Share
 from marl_clean.trainer._warm_start import WarmStart
@@ -215,7 +215,7 @@ class RayActors(Remote):
 BACKENDS: dict[str, type[Remote]] = {"process": Processes, "ray": RayActors}
 
 
-def make_remote(
+def make_collecting(
     env: EnvBase,
     agent: Agent,
     make_share: MakeShare | None,
@@ -223,8 +223,14 @@ def make_remote(
     num_open: int | None,
     collectors: Collectors,
     frames_per_batch: int,
-) -> Remote:
-    """Start the processes of `trainer.collectors`. Raises BadInput where that fails."""
+) -> Collecting:
+    """Return what collects: the env itself, or processes of `trainer.collectors`, started here.
+
+    The agent learns from demonstrations where there are any. Raises BadInput where processes
+    cannot be started.
+    """
+    if collectors.backend == "none":
+        return InTheTrainer(env, WarmStart(agent, env, *imitate), frames_per_batch)
     if make_share is None:
         raise BadInput("trainer.collectors: needs an env that other processes can make; use train")
     kind = BACKENDS[collectors.backend]

@@ -20,17 +20,17 @@ from marl_clean.logger.base import CLOCK, Logger, Progress
 from marl_clean.settings import Collectors, StatesOf
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer._annealing import Annealing
-from marl_clean.trainer._collectors import Collecting, InTheTrainer, Moment
+from marl_clean.trainer._collectors import Moment
 from marl_clean.trainer._curriculum import Curriculum
 from marl_clean.trainer._frames import IN_THE_TRAINER, check_frames
 from marl_clean.trainer._interrupts import Interrupts, Stopped
 from marl_clean.trainer._outcome import Outcome
 from marl_clean.trainer._random import random_state, restore_random
-from marl_clean.trainer._remote import make_remote
+from marl_clean.trainer._remote import make_collecting
 from marl_clean.trainer._selection import Best
 from marl_clean.trainer._share import MakeShare
 from marl_clean.trainer._tally import Diverged, Tally
-from marl_clean.trainer._warm_start import WarmStart
+from marl_clean.trainer.first_updates import FirstUpdates
 
 Evaluate = Callable[[TensorDictModuleBase], Mapping[str, float]]
 log = logging.getLogger(__name__)
@@ -41,9 +41,8 @@ class Trainer(ABC):
     """Train an agent in a budget of frames.
 
     Every block of frames: collect with exploration, and learn. At fixed frames: log, evaluate and
-    keep the best weights, save the state. The same call resumes exactly from the newest state:
-    on a CPU with one thread its weights and rows are those of the uninterrupted run. Only where the
-    env cannot be saved in the middle of its episodes (`resumes_exactly`) does it begin new ones.
+    keep the best weights, save the state. The same call resumes exactly from the newest state, on a
+    CPU with one thread; only an env that cannot be saved in the middle of its episodes begins anew.
     """
 
     total_frames: int
@@ -94,11 +93,13 @@ class Trainer(ABC):
         folder: Path,
         start_is_candidate: bool = False,
         make_share: MakeShare | None = None,
+        first_updates: FirstUpdates | None = None,
     ) -> Outcome:
         """Train `agent` in `env` until the budget is spent; resume what `folder` holds.
 
         `evaluate` measures a policy on validation houses, by name; with `start_is_candidate` the
-        weights that came with the agent may be best. `make_share`: what `collectors` make.
+        weights that came with the agent may be best. `make_share`: what `collectors` make;
+        `first_updates`: what notes these, by default in the folder.
 
         Raises:
             BadInput: a setting that does not fit the env, damaged checkpoints, a full disk.
@@ -111,8 +112,9 @@ class Trainer(ABC):
             return Outcome(final.frames, final.notes["updates"], final.notes["best"], True)
         self.check(env, agent)
         loop = self.begin(env, agent, evaluate, list(loggers), checkpoints, make_share)
+        first = first_updates or FirstUpdates(folder)
         try:
-            loop.resume()
+            first.resume(loop.resume())
             with Interrupts() as interrupts, Progress(self.total_frames, loop.frames) as progress:
                 if start_is_candidate and not loop.frames:
                     with suppress(Stopped):  # the loop sees the signal
@@ -126,6 +128,7 @@ class Trainer(ABC):
                     if loop.frames >= self.total_frames:
                         return loop.finish()
                     loop.learn(loop.collect())
+                    first.note(loop.frames, loop.updates, agent.network)
         finally:
             loop.close()
 
@@ -147,7 +150,16 @@ class TrainingLoop(ABC):
         self.evaluate, self.loggers, self.checkpoints = evaluate, loggers, checkpoints
         self.curriculum = Curriculum(*settings.curriculum)
         self.curriculum.open_houses(env.base_env)
-        self.collectors = self._collectors(make_share)
+        shown = settings.imitate_frames_share * settings.total_frames
+        self.collectors = make_collecting(
+            env,
+            agent,
+            make_share,
+            (settings.imitate, shown, settings.imitate_states),
+            self.curriculum.num_open(env.base_env),
+            settings.collectors,
+            settings.frames_per_batch,
+        )
         self.annealing = Annealing()
         self.tally = Tally()
         self.frames = self.updates = 0
@@ -172,17 +184,6 @@ class TrainingLoop(ABC):
         self.annealing.note(done, finished)
         self.annealing.set(self.agent, self.env, self.frames / self.settings.total_frames)
         return block
-
-    def _collectors(self, make_share: MakeShare | None) -> Collecting:
-        """Return what collects; the agent learns from demonstrations where there are any."""
-        settings, env, agent = self.settings, self.env, self.agent
-        shown = settings.imitate_frames_share * settings.total_frames
-        imitate = settings.imitate, shown, settings.imitate_states
-        self.warm_start, size = WarmStart(agent, env, *imitate), settings.frames_per_batch
-        if settings.collectors.backend == "none":
-            return InTheTrainer(env, self.warm_start, size)
-        num_open = self.curriculum.num_open(env.base_env)
-        return make_remote(env, agent, make_share, imitate, num_open, settings.collectors, size)
 
     def _moment(self) -> Moment:
         total, num_open = self.settings.total_frames, self.curriculum.num_open(self.env.base_env)
@@ -259,8 +260,8 @@ class TrainingLoop(ABC):
         }
         self.checkpoints.save("state", self.frames, state, {})
 
-    def resume(self) -> None:
-        """Resume from the newest state, if there is one."""
+    def resume(self) -> int:
+        """Resume from the newest state, if there is one; return its frames."""
         newest = self.checkpoints.newest("state")
         if newest is not None:
             self._restore(newest.tree)
@@ -269,9 +270,9 @@ class TrainingLoop(ABC):
         self.annealing.set(self.agent, self.env, self.frames / self.settings.total_frames)
         for logger in self.loggers:
             logger.resume(self.logged)
+        return self.frames
 
     def _restore(self, state: dict[str, Any]) -> None:
-        device = self.env.device
         for name, value in state["counters"].items():
             setattr(self, name, value)
         self.best.record = state["best"]
@@ -284,7 +285,7 @@ class TrainingLoop(ABC):
         self.curriculum.restore(state["curriculum"])
         self.curriculum.open_houses(self.env.base_env)
         self.annealing.share = state.get("annealing", {"share": 0.0})["share"]
-        restore_random(state["random"], device)
+        restore_random(state["random"], self.env.device)
 
     def finish(self) -> Outcome:
         """Save the last weights; the states are then of no more use."""
