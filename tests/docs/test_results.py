@@ -10,8 +10,10 @@ from marl_clean.evaluation.records import MEASURES, make_entry, write_entries
 from tests.results import pages, store, stored
 
 README = pages.README.read_text(encoding="utf-8")
-PAGE = pages.PAGE.read_text(encoding="utf-8")
-SHOWN = [pages.readme_table(README), *pages.tables_in(PAGE)]
+PAGES = pages.texts()
+PAGE = PAGES["results.md"]
+OF_PAGES = [shown for page in PAGES.values() for shown in pages.tables_in(page)]
+SHOWN = [pages.readme_table(README), *OF_PAGES]
 # Sections whose tables were measured before records were kept.
 NOT_STORED = {
     "The paper's own designs": 1,
@@ -25,7 +27,7 @@ def of(shown: pages.Shown) -> str:
 
 
 def test_tables_are_what_is_stored() -> None:
-    assert pages.all_faults(README, PAGE) == []
+    assert pages.all_faults(README, PAGES) == []
 
 
 @pytest.mark.parametrize("shown", SHOWN, ids=of)
@@ -51,7 +53,7 @@ def test_a_changed_digit_of_the_readme_and_of_a_page_is_seen_in_the_whole_text()
         (README, PAGE.replace("| 1.80 / 3.02 (29 %) |", "| 1.80 / 3.02 (28 %) |")),
     ):
         assert (wrong_readme, wrong_page) != (README, PAGE)
-        assert len(pages.all_faults(wrong_readme, wrong_page)) == 1
+        assert len(pages.all_faults(wrong_readme, PAGES | {"results.md": wrong_page})) == 1
 
 
 def test_a_row_that_is_not_stored_is_seen() -> None:

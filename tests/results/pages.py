@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 from tests.results.stored import ROOT, Table, read
 
-README, PAGE = ROOT / "README.md", ROOT / "docs" / "results.md"
+README = ROOT / "README.md"
+PAGES = [ROOT / "docs" / "results.md", ROOT / "docs" / "scenarios.md"]
 MARK = re.compile(r"^\s*<!-- stored: (\w+) (\w+) ?(.*?) -->$")
 README_TABLE = ("any_house", "measures", "any_house")  # the first table below "## Results"
 YARDSTICK = "nearest_unknown"
@@ -195,18 +196,24 @@ LAYOUTS: dict[str, Cell] = {
 }
 
 
-def all_faults(readme: str, page: str) -> list[str]:
-    """Every fault of the README and of the page of results."""
+def all_faults(readme: str, pages: Mapping[str, str]) -> list[str]:
+    """Every fault of the README and of pages, their texts by name."""
     shown = readme_table(readme)
     lines = [f"{README.name}: {line}" for line in faults(shown, read(shown.name))]
-    for shown in tables_in(page):
-        lines += [f"{PAGE.name}: {line}" for line in faults(shown, read(shown.name))]
+    for name, page in pages.items():
+        for shown in tables_in(page):
+            lines += [f"{name}: {line}" for line in faults(shown, read(shown.name))]
     return lines
+
+
+def texts() -> dict[str, str]:
+    """The pages by name."""
+    return {page.name: page.read_text(encoding="utf-8") for page in PAGES}
 
 
 def main() -> int:
     """Print every fault."""
-    lines = all_faults(README.read_text(encoding="utf-8"), PAGE.read_text(encoding="utf-8"))
+    lines = all_faults(README.read_text(encoding="utf-8"), texts())
     print("\n".join(lines) or "all tables with a record are as it says")
     return int(bool(lines))
 
