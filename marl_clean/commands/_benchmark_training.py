@@ -25,6 +25,7 @@ from marl_clean.evaluation.evaluator import validate
 from marl_clean.evaluation.table import output
 from marl_clean.observation.base import Observation
 from marl_clean.storage.checkpoint import Checkpoints
+from marl_clean.trainer._collectors import InTheTrainer
 from marl_clean.trainer._share import share_maker
 from marl_clean.trainer.off_policy import OffPolicyLoop
 
@@ -86,7 +87,9 @@ class Session:
             if isinstance(transform, Observation):
                 self._time(transform, "read", "observation")
         self._time(env, "step_and_maybe_reset", "step")
-        self._time(self.loop.warm_start.policy, "forward", "network")
+        collecting = self.loop.collectors
+        assert isinstance(collecting, InTheTrainer)  # what other processes take is not timed
+        self._time(collecting.warm_start.policy, "forward", "network")
         self._time(self.loop, "learn", "learning")
 
     def _time(self, owner: Any, name: str, part: str) -> None:

@@ -35,9 +35,9 @@ from marl_clean.report.recording import make_recording
 from marl_clean.report.replay import make_replay
 from marl_clean.storage import files, manifest
 from marl_clean.storage.lock import locked
+from marl_clean.trainer._first_updates import FirstUpdates
 from marl_clean.trainer._outcome import Outcome
 from marl_clean.trainer._share import share_maker
-from marl_clean.trainer.first_updates import FirstUpdates
 
 GIF = "replay.gif"
 log = logging.getLogger(__name__)

@@ -27,7 +27,7 @@ def main(text: str, console: Console | None = None) -> int:
     cannot be trained here.
     """
     from marl_clean.commands.train import train
-    from marl_clean.trainer.first_updates import FILE, FirstUpdates, Repeated, read
+    from marl_clean.trainer._first_updates import FILE, FirstUpdates, Repeated, read
 
     console = console or output()
     folder = find_run(text)

@@ -22,6 +22,7 @@ from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer._annealing import Annealing
 from marl_clean.trainer._collectors import Moment
 from marl_clean.trainer._curriculum import Curriculum
+from marl_clean.trainer._first_updates import FirstUpdates
 from marl_clean.trainer._frames import IN_THE_TRAINER, check_frames
 from marl_clean.trainer._interrupts import Interrupts, Stopped
 from marl_clean.trainer._outcome import Outcome
@@ -30,7 +31,6 @@ from marl_clean.trainer._remote import make_collecting
 from marl_clean.trainer._selection import Best
 from marl_clean.trainer._share import MakeShare
 from marl_clean.trainer._tally import Diverged, Tally
-from marl_clean.trainer.first_updates import FirstUpdates
 
 Evaluate = Callable[[TensorDictModuleBase], Mapping[str, float]]
 log = logging.getLogger(__name__)

@@ -11,7 +11,7 @@ from marl_clean import cli
 from marl_clean.commands import made_with, train, verify
 from marl_clean.commands.run_record import RECORD
 from marl_clean.errors import BadInput
-from marl_clean.trainer.first_updates import BLOCKS, FILE, FirstUpdates, digest_of, read
+from marl_clean.trainer._first_updates import BLOCKS, FILE, FirstUpdates, digest_of, read
 
 TINY = (
     "train name=run trainer.total_frames=512 trainer.frames_per_batch=64 evaluation.houses=2"
