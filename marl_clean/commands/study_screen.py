@@ -24,7 +24,11 @@ def nothing_to_win(study: Mapping[str, Any], configs: Mapping[str, DictConfig]) 
     oracle, without houses, or of a measure that planners do not have, there is nothing to screen.
     """
     silent, oracle, measure = study["baseline"], study["oracle"], study["measure"]
-    if oracle is None or measure == FINISHED or not has_houses(configs[oracle]):
+    if (
+        oracle is None
+        or measure == FINISHED
+        or not all(has_houses(configs[arm]) for arm in (silent, oracle))
+    ):
         return None
     entries = [_by_planner(configs[arm]) for arm in (silent, oracle)]
     if any(measure not in entry["houses"][0] for entry in entries):

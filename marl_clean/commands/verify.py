@@ -1,6 +1,5 @@
 """`marl-clean verify RUN`: a run's first updates made once more, and compared bit for bit."""
 
-import logging
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -39,7 +38,6 @@ def main(text: str, console: Console | None = None) -> int:
     config = checked(load_config(folder))
     check_all(config, training=True)
     config.logger = {}
-    logging.getLogger("marl_clean").setLevel(logging.ERROR)
     with TemporaryDirectory() as place:
         first = FirstUpdates(Path(place), alone=True)
         try:
@@ -50,7 +48,7 @@ def main(text: str, console: Console | None = None) -> int:
         if [before] != first.updated[number : number + 1]:
             where = f"update {before.updates} (frame {before.frames})"
             console.print(f"{text}: weights differ after {where}", soft_wrap=True)
-            for line in differences(folder):
+            for line in differences(folder, config.device):
                 console.print(f"  {line}", soft_wrap=True)
             return DIFFERENT
     what = f"weights after {noted[-1].updates} updates from {noted[-1].frames:,} frames"
@@ -58,7 +56,7 @@ def main(text: str, console: Console | None = None) -> int:
     return 0
 
 
-def differences(folder: Path) -> Iterator[str]:
+def differences(folder: Path, device: str) -> Iterator[str]:
     """What differs between the process that began the run and this one, in a line each."""
     from marl_clean.commands import made_with
 
@@ -67,7 +65,7 @@ def differences(folder: Path) -> Iterator[str]:
         yield f"no {RECORD} says what it was made with"
         return
     began: dict[str, Any] = processes[0]
-    hardware = made_with.hardware(began.get("hardware", {}).get("device", "cpu"))
+    hardware = made_with.hardware(device)
     now = {
         "versions": made_with.versions(),
         "hardware": {name: hardware[name] for name in MACHINE},
@@ -75,10 +73,14 @@ def differences(folder: Path) -> Iterator[str]:
     }
     same = True
     for part, held in now.items():
-        before = began.get(part, {})
+        before = began.get(part)
+        before = before if isinstance(before, dict) else {}  # the record may be anybody's
         for name, value in held.items():
             if before.get(name) != value:
                 same = False
                 yield f"{name}: {before.get(name)} then, {value} now"
     if same:
-        yield "code, versions and hardware are the same: torch may have used several threads"
+        yield (
+            "code, versions and hardware are the same: its config was changed since, or torch used"
+            " several threads"
+        )

@@ -1,6 +1,7 @@
 """The first updates of a run, by digests of the weights after them: what `verify` repeats."""
 
 import hashlib
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +13,7 @@ from torch import Tensor, nn
 from marl_clean.errors import BadInput
 from marl_clean.storage import files
 
+log = logging.getLogger(__name__)
 FILE = "first_updates.json"
 VERSION = 1
 BLOCKS = 3  # blocks of frames after which weights were updated
@@ -46,21 +48,33 @@ class FirstUpdates:
     def __init__(self, folder: Path, alone: bool = False) -> None:
         self.path, self.alone = folder / FILE, alone
         self.updated: list[Updated] = []
+        self.complete = False
 
     def resume(self, frames: int) -> None:
-        """Go on after `frames`: what a run noted until then stays."""
-        if frames and self.path.is_file():
+        """Go on after `frames`: what a run noted until then stays.
+
+        A run whose first notes are missing or damaged notes no others, which are not its first.
+        """
+        if not frames:
+            return
+        try:
             self.updated = [each for each in read(self.path) if each.frames <= frames]
+        except BadInput as error:
+            log.warning("%s; its first updates cannot be verified", error)
+            self.complete = True
 
     def note(self, frames: int, updates: int, network: nn.Module) -> None:
         """Note the weights if they were updated since the last note, and not often before."""
         before = self.updated[-1].updates if self.updated else 0
-        if len(self.updated) == BLOCKS or updates <= before:
+        if self.complete or len(self.updated) == BLOCKS or updates <= before:
             return
         digest = digest_of(network.state_dict())
         self.updated.append(Updated(frames=frames, updates=updates, sha256=digest))
         content = _File(version=VERSION, updated=self.updated).model_dump_json(indent=1)
-        files.write_file(self.path, [content.encode() + b"\n"])
+        try:
+            files.write_file(self.path, [content.encode() + b"\n"])
+        except OSError as error:  # a full disk stops no run here; states and weights tell of it
+            log.warning("%s: cannot be written: %s", self.path, error.strerror)
         if self.alone and len(self.updated) == BLOCKS:
             raise Repeated
 

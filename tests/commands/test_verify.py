@@ -106,6 +106,12 @@ def test_a_resumed_run_keeps_what_it_noted_until_then(tmp_path: Path) -> None:
     resumed = FirstUpdates(tmp_path)
     resumed.resume(128)
     assert resumed.updated == noted[:1]
+    for damage in (lambda: (tmp_path / FILE).write_text("{"), (tmp_path / FILE).unlink):
+        damage()
+        late = FirstUpdates(tmp_path)
+        late.resume(128)
+        late.note(192, 2, network)
+        assert late.updated == []  # the third block is not its first
     anew = FirstUpdates(tmp_path)
     anew.resume(0)
     assert anew.updated == []
