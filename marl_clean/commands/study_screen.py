@@ -4,6 +4,7 @@ import copy
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from omegaconf import DictConfig
 
 from marl_clean.config.compose import has_houses
@@ -34,13 +35,19 @@ def nothing_to_win(study: Mapping[str, Any], configs: Mapping[str, DictConfig]) 
     if any(measure not in entry["houses"][0] for entry in entries):
         return None
     before, after = (sample([entry["houses"]], measure) for entry in entries)
+    policy = entries[0]["policy"]
+    if np.array_equal(before, after, equal_nan=True):
+        return (
+            f"study.oracle: {policy} has the same {measure} in arms {silent} and {oracle} in every"
+            f" one of {HOUSES} validation houses: nothing to win, or nothing that a planner uses"
+        )
     sign = -1 if measure in MORE_IS_BETTER else 1
     gain = paired_difference(sign * before, sign * after)
     if gain.ci95 is not None and gain.ci95[0] > 0:
         return None
     numbers = "no value" if gain.ci95 is None else f"{before.mean():.2f} and {after.mean():.2f}"
     return (
-        f"study.oracle: nothing to win: {measure} of {entries[0]['policy']} is {numbers} in arms"
+        f"study.oracle: nothing to win: {measure} of {policy} is {numbers} in arms"
         f" {silent} and {oracle}, not clearly better in {HOUSES} validation houses"
     )
 
