@@ -118,7 +118,7 @@ def test_settings_that_pages_name_exist(page: Path) -> None:
     """Every `room=level` and `+experiment=NAME` in code."""
     known = {room: set(levels) for room, levels in groups().items()}
     for spans in re.findall(r"`([^`]+)`|^(marl-clean .*)$", page.read_text(), re.M):
-        for room, levels in re.findall(r"(?:^|[\s+])([a-z_]+)=([a-z_0-9,]+)", " ".join(spans)):
+        for room, levels in re.findall(r"(?:^|[\s+])([a-z_]+)=([a-z_0-9]+(?:,[a-z_0-9]+)*)", " ".join(spans)):
             if room in known:
                 unknown = set(levels.split(",")) - known[room] - {*OF_AN_EXAMPLE}
                 assert unknown == set(), f"{page.name}: {room}={levels}"
