@@ -27,7 +27,7 @@ from marl_clean.env.transformed import TransformedWorlds
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses, draw_bank, draw_houses, smallest_first, split_seeds
 from marl_clean.learning.agent import Agent
-from marl_clean.learning.width import widest_within
+from marl_clean.learning.width import count_weights, widest_within
 from marl_clean.planner.base import Planner
 from marl_clean.settings import HouseOrder
 from marl_clean.storage.checkpoint import fit_weights, load_weights
@@ -229,9 +229,6 @@ def agent_parts(cfg: DictConfig, env: TransformedEnv) -> dict[str, Any]:
 def as_wide_as_allowed(cfg: DictConfig, env: TransformedEnv) -> DictConfig:
     """Return `cfg` with the encoder's features as wide as `parameter_budget` allows.
 
-    Encoder, scheme and head are counted, so that networks with different schemes have the same
-    size. Weights of a channel are not: the network stays the same over another channel.
-
     Raises:
         BadInput: not even one feature fits.
     """
@@ -241,17 +238,11 @@ def as_wide_as_allowed(cfg: DictConfig, env: TransformedEnv) -> DictConfig:
     def size(width: int) -> int:
         sized.encoder.hidden = [*cfg.encoder.hidden[:-1], width]
         with torch.random.fork_rng([]):
-            return count_weights(_agent(sized, env))
+            return count_weights(_agent(sized, env).network)
 
     width = widest_within(cfg.parameter_budget, size)
     sized.encoder.hidden = [*cfg.encoder.hidden[:-1], width]
     return sized
-
-
-def count_weights(agent: Agent) -> int:
-    """Return the weights of encoder, scheme and head, which `parameter_budget` bounds."""
-    named = agent.network.named_parameters()
-    return sum(w.numel() for name, w in named if not name.startswith("channel."))
 
 
 def ready_for(agent: Agent, env: TransformedEnv) -> TransformedEnv:

@@ -68,11 +68,13 @@ def _weights(config: DictConfig) -> int:
     import torch
 
     from marl_clean import build
+    from marl_clean.learning.width import count_weights
 
     small = copy.deepcopy(config)
     small.train_houses = 1
     with torch.random.fork_rng([]):
-        return build.count_weights(build.make_agent(small, build.make_env(small, num_envs=1)))
+        agent = build.make_agent(small, build.make_env(small, num_envs=1))
+    return count_weights(agent.network)
 
 
 def _by_planner(config: DictConfig) -> Entry:

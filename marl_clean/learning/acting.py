@@ -5,8 +5,14 @@ from collections.abc import Sequence
 import torch
 from jaxtyping import Bool, Float, Int
 from tensordict import NestedKey, TensorDictBase
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from tensordict.nn import (
+    ProbabilisticTensorDictModule,
+    ProbabilisticTensorDictSequential,
+    TensorDictModuleBase,
+    TensorDictSequential,
+)
 from torch import Tensor, nn
+from torch.distributions import Categorical
 from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
 
@@ -138,6 +144,18 @@ class Logits(TensorDictModuleBase):
             if self.acting:
                 record_carried(tensordict, carried)
         return tensordict.set(keys.LOGITS, logits)
+
+
+def drawing(network: RobotsNetwork, acting: bool) -> ProbabilisticTensorDictSequential:
+    """Return TorchRL's actor: the network's logits, and an action drawn for each robot."""
+    draw = ProbabilisticTensorDictModule(
+        in_keys={"logits": keys.LOGITS},
+        out_keys=[keys.ACTION],
+        distribution_class=Categorical,
+        return_log_prob=True,
+        log_prob_key=keys.LOG_PROB,
+    )
+    return ProbabilisticTensorDictSequential(Logits(network, acting).eval(), draw)
 
 
 class Greedy(TensorDictModuleBase):

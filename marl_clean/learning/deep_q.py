@@ -283,9 +283,8 @@ class DeepQ(Agent):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume exactly from a state of `state_dict`."""
         self.network.load_state_dict(state["network"])
-        for module, weights in zip(
-            self._beside_network(), state.get("only_in_learning", ()), strict=True
-        ):
+        beside = state.get("only_in_learning", ())
+        for module, weights in zip(self._beside_network(), beside, strict=True):
             module.load_state_dict(weights)
         for name, weight in self._target_weights().items():
             weight.copy_(state["target"][name])

@@ -5,14 +5,8 @@ from typing import Any, ClassVar, Literal
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
-from tensordict.nn import (
-    ProbabilisticTensorDictModule,
-    ProbabilisticTensorDictSequential,
-    TensorDictModuleBase,
-    TensorDictSequential,
-)
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
-from torch.distributions import Categorical
 from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
 from torchrl.objectives import MAPPOLoss
@@ -138,7 +132,7 @@ class Ppo(Agent):
         self.network, self.critic = network.to(device).eval(), valuing.to(device).eval()
         self._critic_hidden: Tensor | None = None  # its memory behind the last block
         self._loss = self.loss_class(
-            self._drawing(acting=False),
+            acting.drawing(self.network, acting=False),
             Values(self.critic),
             clip_epsilon=clip_epsilon,
             entropy_coeff=entropy_coeff,
@@ -164,17 +158,6 @@ class Ppo(Agent):
         self._parameters = [weight for module in learnt for weight in module.parameters()]
         self._optimiser = torch.optim.Adam(self._parameters, lr=lr, fused=True)
 
-    def _drawing(self, acting: bool) -> ProbabilisticTensorDictSequential:
-        """Return TorchRL's actor: the network's logits, and an action drawn for each robot."""
-        draw = ProbabilisticTensorDictModule(
-            in_keys={"logits": keys.LOGITS},
-            out_keys=[keys.ACTION],
-            distribution_class=Categorical,
-            return_log_prob=True,
-            log_prob_key=keys.LOG_PROB,
-        )
-        return ProbabilisticTensorDictSequential(Logits(self.network, acting).eval(), draw)
-
     @property
     def history(self) -> int:
         return max(self.network.history, int(self.critic.memory is not None))
@@ -198,13 +181,13 @@ class Ppo(Agent):
 
     def exploration(self, action_spec: Composite) -> TensorDictModuleBase:
         """Return the policy that draws; it draws under TorchRL's `ExplorationType.RANDOM`."""
-        return self._drawing(acting=True)
+        return acting.drawing(self.network, acting=True)
 
     def demonstrated_by(
         self, planner: TensorDictModuleBase, action_spec: Composite
     ) -> TensorDictModuleBase:
         """Return the policy by which a planner acts; its actions are not explored around."""
-        return TensorDictSequential(self._drawing(acting=True), planner)
+        return TensorDictSequential(acting.drawing(self.network, acting=True), planner)
 
     def measures(self) -> dict[str, float]:
         return self.moving_gamma(self.discount)

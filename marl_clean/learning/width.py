@@ -3,6 +3,8 @@
 from bisect import bisect_right
 from collections.abc import Callable
 
+from torch import nn
+
 from marl_clean.errors import BadInput
 
 
@@ -21,3 +23,13 @@ def widest_within(budget: int, size: Callable[[int], int]) -> int:
         too_wide *= 2
     allowed = range(too_wide // 2, too_wide)
     return allowed[bisect_right(allowed, budget, key=size) - 1]
+
+
+def count_weights(network: nn.Module) -> int:
+    """Return the weights of encoder, scheme and head, which `parameter_budget` bounds.
+
+    So that networks with different schemes have the same size. Weights of a channel do not count:
+    the network stays the same over another channel.
+    """
+    named = network.named_parameters()
+    return sum(w.numel() for name, w in named if not name.startswith("channel."))

@@ -107,8 +107,7 @@ class Trainer(ABC):
             SystemExit: 143 or 130, after SIGTERM or SIGINT, when the state is saved.
         """
         checkpoints = Checkpoints(folder / FOLDER)
-        final = checkpoints.newest("final")
-        if final is not None:
+        if (final := checkpoints.newest("final")) is not None:
             return Outcome(final.frames, final.notes["updates"], final.notes["best"], True)
         self.check(env, agent)
         loop = self.begin(env, agent, evaluate, list(loggers), checkpoints, make_share)

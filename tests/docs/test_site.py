@@ -113,12 +113,15 @@ def test_a_file_that_is_not_there_is_seen() -> None:
     assert not is_there("marl_clean/comm/basis.py") and not is_there("marl_clean/pettingzoo/nope")
 
 
+SETTING = re.compile(r"(?:^|[\s+])([a-z_]+)=([a-z_0-9]+(?:,[a-z_0-9]+)*)")
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_settings_that_pages_name_exist(page: Path) -> None:
     """Every `room=level` and `+experiment=NAME` in code."""
     known = {room: set(levels) for room, levels in groups().items()}
     for spans in re.findall(r"`([^`]+)`|^(marl-clean .*)$", page.read_text(), re.M):
-        for room, levels in re.findall(r"(?:^|[\s+])([a-z_]+)=([a-z_0-9]+(?:,[a-z_0-9]+)*)", " ".join(spans)):
+        for room, levels in re.findall(SETTING, " ".join(spans)):
             if room in known:
                 unknown = set(levels.split(",")) - known[room] - {*OF_AN_EXAMPLE}
                 assert unknown == set(), f"{page.name}: {room}={levels}"
