@@ -33,6 +33,7 @@ from marl_clean.settings import HouseOrder
 from marl_clean.storage.checkpoint import fit_weights, load_weights
 from marl_clean.storage.manifest import weights_sha256
 from marl_clean.world.exchange import Exchange
+from marl_clean.world.lending import Lending
 
 ACTING_KEYS = ("mask_walls", "play")
 """Settings of learners that change how actions are chosen, not the network."""
@@ -105,9 +106,10 @@ def make_env(
     return TransformedWorlds(env, Compose(*transforms))
 
 
-def exchange_of(section: DictConfig) -> Exchange | None:
+def exchange_of(section: DictConfig) -> Exchange | Lending | None:
     """Return what the robots of a scheme tell each other of their maps; None: nothing."""
-    return Exchange(section.cells) if constant(section["_target_"], "exchanges") else None
+    told = constant(section["_target_"], "exchanges")
+    return Lending() if told == "maps" else Exchange(section.cells) if told == "cells" else None
 
 
 def make_task(cfg: DictConfig, num_envs: int | None = None, first_env: int = 0) -> TransformedEnv:

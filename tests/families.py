@@ -5,6 +5,13 @@ from typing import Any
 
 import pytest
 
+OF_PRIVATE_MAPS = ("delta", "lend")
+
+
+def world_for(scheme: str) -> list[str]:
+    """Return the settings that a scheme needs of the world."""
+    return ["env.memory=private"] if scheme in OF_PRIVATE_MAPS else []
+
 
 def family(
     names: str | tuple[str, ...], cases: Iterable[Any], fast: int | Collection[Any] = 3, **ids: Any

@@ -86,6 +86,7 @@ class Settings:
     radius_cells: Fraction | float | None = None  # None: the view's half
     reward: Literal["individual", "neighbours", "team"] = "individual"
     exchange_cells: int | None = None  # of private maps, that a robot tells another in a step
+    lends: bool = False  # robots in contact see by the union of their private maps
 
     @property
     def decay_per_step(self) -> Fraction:
@@ -294,6 +295,7 @@ class World:
         self._touch()
         self._merge()
         self._exchange()
+        self._lend()
 
     # ---- what is there
 
@@ -434,6 +436,8 @@ class World:
         collided = [not (m or b) for m, b in zip(moved, bumped, strict=True)]
         robots = range(self.n_agents)
         before = [self.potential(robot) for robot in robots]
+        if self.settings.lends:
+            self.maps = self.own_maps
         noticed = [bumped[i] and (self.steps, i) not in self.missed for i in robots]
         terms = [self._reward_terms(i, target[i], moved[i], noticed[i]) for i in robots]
         pays = exact(self.settings.spill_pays)
@@ -458,6 +462,7 @@ class World:
         self._touch()
         self._merge()
         self._exchange()
+        self._lend()
 
         terminated = self.cleaned == free_places(self.free)
         after = [0 if terminated else self.potential(robot) for robot in robots]
@@ -683,6 +688,20 @@ class World:
                     self.said[hearer][place] = self._content(record)
                     self.changed[hearer][place] = self.steps + 1
                     self.heard_from[hearer][place] = sender
+
+    def _lend(self) -> None:
+        """Robots in contact see by the union of their maps until the next step begins."""
+        if not self.settings.lends:
+            return
+        self.own_maps, contacts = self.maps, self.contacts()
+        self.maps = [dict(known) for known in self.own_maps]
+        a_cell = 2 if self.settings.decay_steps is None else 2 + self.max_steps.bit_length()
+        self.exchanged_bits = [0] * self.n_agents
+        for hearer, line in enumerate(contacts):
+            for sender, live in enumerate(line):
+                if live:
+                    self.maps[hearer] = union(self.maps[hearer], self.own_maps[sender])
+                    self.exchanged_bits[sender] += (self.rows + 2) * (self.cols + 2) * a_cell
 
     def _content(self, record: Record) -> Any:
         """What a map says of a cell; without decay the step of a cleaning is no part of it."""

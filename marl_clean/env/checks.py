@@ -8,6 +8,7 @@ from marl_clean.errors import BadInput
 from marl_clean.settings import Knowledge, Memory
 from marl_clean.world.dynamics import MOVES
 from marl_clean.world.exchange import Exchange
+from marl_clean.world.lending import Lending
 from marl_clean.world.rules import Rules, knowledge_of_each
 from marl_clean.world.setup import Contact
 
@@ -16,7 +17,7 @@ def check_rules(
     rules: Rules,
     n_agents: int,
     contact: Contact | None,
-    exchange: Exchange | None,
+    exchange: Exchange | Lending | None,
     furniture_moves_before_start: int,
 ) -> None:
     """Raises BadInput where the rules need what the other arguments do not give."""
@@ -24,7 +25,7 @@ def check_rules(
         raise BadInput(f"env.memory={rules.memory}: needs contact=, a topology's contact function")
     if exchange is not None and rules.memory is not Memory.PRIVATE:
         raise BadInput(
-            f"env.memory={rules.memory}: there is nothing to exchange; comm=delta needs private"
+            f"env.memory={rules.memory}: there is nothing to exchange or lend; valid: private"
         )
     knowledge_of_each(rules.knowledge, rules.memory, n_agents)
     if furniture_moves_before_start and Knowledge.STALE not in rules.kinds_of_knowledge:

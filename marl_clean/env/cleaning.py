@@ -32,6 +32,7 @@ from marl_clean.world.dynamics import MOVES, advance_
 from marl_clean.world.episode import begin
 from marl_clean.world.exchange import Exchange
 from marl_clean.world.furniture import move_furniture_
+from marl_clean.world.lending import Lending
 from marl_clean.world.noise import unnoticed_bumps
 from marl_clean.world.random import Purpose, random_bits, seed_tensor, words_of_robots
 from marl_clean.world.rules import Rules
@@ -123,7 +124,7 @@ class CleaningEnv(Compiling):
         compile: bool = False,
         house_order: HouseOrder = HouseOrder.RANDOM,
         contact: Contact | None = None,
-        exchange: Exchange | None = None,
+        exchange: Exchange | Lending | None = None,
         first_env: int = 0,
         seed: int = 0,
         device: torch.device | str = "cpu",

@@ -7,8 +7,9 @@ from torch import Tensor
 from marl_clean.settings import LARGEST_SIDE, HouseOrder, Knowledge, Memory, Sensor, Starts
 from marl_clean.world.distance import walking_distance
 from marl_clean.world.dynamics import touch_
-from marl_clean.world.exchange import begin_exchange_
+from marl_clean.world.exchange import Exchange, begin_exchange_
 from marl_clean.world.furniture import inside_house, shift_piece
+from marl_clean.world.lending import begin_lending_
 from marl_clean.world.random import Purpose, random_below, random_bits
 from marl_clean.world.rules import Rules, knowledge_of_each
 from marl_clean.world.searches import UNREACHABLE
@@ -69,8 +70,10 @@ def begin(setup: Setup, episode: Int[Tensor, " env"]) -> State:
     if rules.sensor is Sensor.TOUCH4:
         touch_(state, rules)
     _clean_starts_(state, rules)
-    if setup.exchange is not None:
+    if isinstance(setup.exchange, Exchange):
         begin_exchange_(state)
+    elif setup.exchange is not None:
+        begin_lending_(state)
     return state
 
 

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from marl_clean.settings import HouseOrder
 from marl_clean.world.exchange import Exchange
+from marl_clean.world.lending import Lending
 from marl_clean.world.random import Seed
 from marl_clean.world.rules import Rules
 from marl_clean.world.state import State
@@ -48,7 +49,7 @@ class Setup(NamedTuple):
     num_open: int = 1  # new episodes draw their house among the first so many
     furniture: FurnitureMoves = FurnitureMoves()
     contact: Contact | None = None
-    exchange: Exchange | None = None  # of private maps between robots in contact
+    exchange: Exchange | Lending | None = None  # of private maps between robots in contact
 
     def of_rows(self, rows: Int[Tensor, " row"]) -> "Setup":
         """Return the setup of the worlds `rows` alone."""

@@ -51,6 +51,9 @@ class State:
     told_until: Int[Tensor, "env agent agent"] | None = None  # [i, j]: how far j has told i
     exchanged_bits: Int[Tensor, "env agent"] | None = None  # that each robot sent last
 
+    # None unless maps are lent: what each robot itself has written, while `record` shows more.
+    own_record: Float[Tensor, "env map height width"] | None = None
+
     @property
     def n_agents(self) -> int:
         return self.position.shape[1]
@@ -87,6 +90,7 @@ MATRICES = (
     "said",
     "changed_at",
     "heard_from",
+    "own_record",
 )
 
 

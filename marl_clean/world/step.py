@@ -14,7 +14,8 @@ from torch import Tensor
 from marl_clean.settings import Memory, Sensor
 from marl_clean.world.dynamics import Outcome, advance_, episode_ends, touch_
 from marl_clean.world.episode import begin
-from marl_clean.world.exchange import exchange_
+from marl_clean.world.exchange import Exchange, exchange_
+from marl_clean.world.lending import lend_
 from marl_clean.world.setup import Setup
 from marl_clean.world.shared_map import merge_maps
 from marl_clean.world.state import State
@@ -101,13 +102,15 @@ def begin_rows_(
 
 
 def _meet_(state: State, setup: Setup) -> None:
-    """Unite the maps of robots in contact, or exchange parts of them, before anyone observes."""
+    """Unite, exchange or lend the maps of robots in contact, before anyone observes."""
     if setup.contact is None:
         return
     if setup.rules.memory is Memory.MERGED:
         state.record = merge_maps(state.record, setup.contact(state, setup.rules))
-    if setup.exchange is not None:
+    if isinstance(setup.exchange, Exchange):
         exchange_(state, setup.contact(state, setup.rules), setup.exchange, setup.rules)
+    elif setup.exchange is not None:
+        lend_(state, setup.contact(state, setup.rules), setup.rules)
 
 
 def _entries(state: State, setup: Setup, reads: Sequence[Read]) -> Entries:

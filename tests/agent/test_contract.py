@@ -19,7 +19,7 @@ from marl_clean.learning.deep_q import DeepQ
 from marl_clean.learning.ppo import Ppo
 from marl_clean.testing import ContractBroken, check_agent
 from tests.agent.parts import IQL, LEARNERS, STATE_SHAPE, make_learner, transitions
-from tests.families import family
+from tests.families import family, world_for
 
 SCHEMES = levels.rooms()["comm"]
 
@@ -63,8 +63,7 @@ def batch_for(agent, count: int = 6, seed: int = 0) -> TensorDict:
 
 @family(("learner", "scheme"), fitting(), fast=[("iql", "plan"), ("ippo", "none")])
 def test_the_contract(learner: str, scheme: str) -> None:
-    needs = ["env.memory=private"] if scheme == "delta" else []
-    check_agent(learner, comm=scheme, others=needs, precision="float32")
+    check_agent(learner, comm=scheme, others=world_for(scheme), precision="float32")
 
 
 IN_A_ROW = [(learner, "encoder.memory=gru") for learner in LEARNERS if learner != "central_dqn"]

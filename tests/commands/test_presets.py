@@ -21,7 +21,7 @@ from marl_clean.config.schema import instantiate
 from marl_clean.config.stored import load_config
 from marl_clean.evaluation.records import MEASURES, SCHEMA, WORLD, Entry, read_entries
 from marl_clean.house.base import draw_houses
-from tests.families import family
+from tests.families import family, world_for
 
 pytestmark = pytest.mark.usefixtures("one_thread", "unchecked")
 
@@ -181,8 +181,7 @@ def test_every_learner_and_scheme_trains_for_any_house(
     chosen = [f"agent={learner}", f"comm={scheme}", f"trainer={trainer}", f"reward={reward}"]
     settings = [*TINY, *(f"trainer.{setting}" for setting in OF_TRAINERS[trainer])]
     settings += [SHORT, "evaluation.sides=[]"]
-    if scheme == "delta":
-        settings.append("env.memory=private")
+    settings += world_for(scheme)
     assert cli.main(["train", "+experiment=any_house_task", *chosen, *settings]) == 0
     [folder] = Path("runs").iterdir()
     rows = list(csv.DictReader((folder / "metrics.csv").read_text().splitlines()))

@@ -11,7 +11,7 @@ from marl_clean.config.compose import compose_config
 from marl_clean.config.config_hash import config_hash
 from marl_clean.config.levels import rooms
 from marl_clean.errors import BadInput
-from tests.families import family
+from tests.families import family, world_for
 
 SMALL = ["train_houses=4", "env.num_envs=2", "house.rows=[5,5]", "house.cols=[5,5]"]
 BUDGET = 150_000
@@ -29,7 +29,7 @@ def size(agent) -> int:
 
 @family("comm", rooms()["comm"], fast=["plan"])
 def test_every_scheme_fills_the_budget_and_does_not_exceed_it(comm: str) -> None:
-    scheme = [f"comm={comm}", *(["env.memory=private"] if comm == "delta" else [])]
+    scheme = [f"comm={comm}", *world_for(comm)]
     agent = learner(*scheme, f"parameter_budget={BUDGET}")
     assert 0.99 * BUDGET < size(agent) <= BUDGET
     wider = agent.network.encoder.out_features + 1

@@ -24,6 +24,7 @@ from marl_clean.topology.sight import Sight
 from marl_clean.topology.view import View
 from marl_clean.world.dynamics import touch_
 from marl_clean.world.exchange import Exchange
+from marl_clean.world.lending import Lending
 from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import MEMORISED_BLOCKED, MEMORISED_FREE, merge_maps
 from tests.reference import Settings, World
@@ -61,6 +62,12 @@ def houses_of(free, furniture, starts) -> Houses:
         starts=np.array([starts]),
         sources=["drawn"],
     )
+
+
+def exchange_of(settings: Settings) -> Exchange | Lending | None:
+    if settings.lends:
+        return Lending()
+    return None if settings.exchange_cells is None else Exchange(settings.exchange_cells)
 
 
 def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
@@ -106,7 +113,7 @@ def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
         furniture_moves_per_episode=1,
         house_order=HouseOrder.FIXED,
         contact=topology.contact,
-        exchange=None if settings.exchange_cells is None else Exchange(settings.exchange_cells),
+        exchange=exchange_of(settings),
     )
     crop = Crop(side if whole_map else settings.view_size)
     split = REWARDS[settings.reward]()

@@ -56,7 +56,7 @@ def assert_same_outcome(tensordict, env, index: int, world: World, outcome) -> N
         torch.testing.assert_close(tensordict[key][index, :, 0], expected, atol=1e-5, rtol=0)
     assert bool(tensordict[keys.TERMINATED][index]) == outcome.terminated
     assert bool(tensordict[keys.TRUNCATED][index]) == outcome.truncated
-    if world.settings.exchange_cells is not None:
+    if world.settings.exchange_cells is not None or world.settings.lends:
         assert state.exchanged_bits[index].tolist() == world.exchanged_bits
     assert (int(state.num_visited[index]), int(state.num_free[index])) == world.coverage()
     if world.settings.spills:
@@ -123,19 +123,26 @@ def test_several_worlds_together_equal_each_alone(data: st.DataObject) -> None:
 
 
 not_stale = st.sampled_from([Knowledge.UNKNOWN, Knowledge.MEMORISED])
-exchanging = st.builds(
-    replace,
-    settings(),
-    memory=st.just(Memory.PRIVATE),
-    knowledge=st.one_of(not_stale, st.tuples(*[not_stale] * MOST_AGENTS)),
-    exchange_cells=st.sampled_from([1, 2, 3, 8, 200]),
-)
+private = {
+    "memory": st.just(Memory.PRIVATE),
+    "knowledge": st.one_of(not_stale, st.tuples(*[not_stale] * MOST_AGENTS)),
+}
+cells = st.sampled_from([1, 2, 3, 8, 200])
+exchanging = st.builds(replace, settings(), exchange_cells=cells, **private)
+lending = st.builds(replace, settings(), lends=st.just(True), **private)
 
 
 @pytest.mark.slow
 @given(case=cases(settings=exchanging), whole_map=st.booleans())
 @hypothesis_settings(max_examples=40, deadline=None)
 def test_maps_exchanged_a_few_cells_a_step_are_the_references(case: Case, whole_map: bool) -> None:
+    assert_same_play([case], whole_map)
+
+
+@pytest.mark.slow
+@given(case=cases(settings=lending), whole_map=st.booleans())
+@hypothesis_settings(max_examples=40, deadline=None)
+def test_maps_that_are_lent_are_the_references(case: Case, whole_map: bool) -> None:
     assert_same_play([case], whole_map)
 
 

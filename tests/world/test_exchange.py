@@ -68,6 +68,32 @@ def test_bits_are_those_of_the_cells_and_of_their_number() -> None:
     assert env.base_env.state.exchanged_bits.tolist() == [[2 + 6 + 2 + 6] * 2] * 8
 
 
+def test_what_was_lent_is_not_kept() -> None:
+    """Apart a robot knows what it alone has found; in contact it sees by the union."""
+    lent = [*PRIVATE, "comm=lend", "env.num_envs=16", "seed=3"]
+    env = make_env(lent)
+    draw, td, apart, together = torch.Generator().manual_seed(1), env.reset(), 0, 0
+    for _ in range(80):
+        td[keys.ACTION] = torch.randint(4, (16, 2), generator=draw)
+        td = env.step_and_maybe_reset(td)[1]
+        state, contact = env.base_env.state, td[keys.ADJACENCY][:, 0, 1]
+        own, shown = ~is_unknown(state.own_record), ~is_unknown(state.record)
+        union = own.any(1, keepdim=True).expand_as(own)
+        assert torch.equal(shown, torch.where(contact[:, None, None, None], union, own))
+        apart += int((~contact & (union != own).any((1, 2, 3))).sum())
+        together += int((contact & (union != own).any((1, 2, 3))).sum())
+    assert apart > 0 and together > 0
+
+
+def test_bits_of_a_lent_map_are_those_of_house_and_ring() -> None:
+    small = ["house=open", "house.rows=[4,4]", "house.cols=[4,4]", "env.num_envs=8"]
+    rules = ["env.memory=private", "topology=full", "comm=lend", "env.max_steps=60"]
+    for decay, per_cell in (("200", 2 + 6), ("null", 2)):
+        env = make_env([*rules, *small, f"env.decay_steps={decay}"])
+        env.reset()
+        assert env.base_env.state.exchanged_bits.tolist() == [[36 * per_cell] * 2] * 8
+
+
 def test_bad_input_is_one_line() -> None:
     with pytest.raises(BadInput, match=r"^env.memory=shared: comm=delta .*; valid: private$"):
         compose_fit(["comm=delta"])
