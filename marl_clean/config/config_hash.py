@@ -37,6 +37,7 @@ LATER: dict[str, Any] = {
     "agent.critic_memory": "none",
     "agent.normalize_value": False,
     "evaluation.sides": [],
+    "observation.news": False,
 }
 """Keys added later, each with the value that reproduces what was before there was a key."""
 

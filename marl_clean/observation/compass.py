@@ -19,6 +19,7 @@ from marl_clean.observation._compass import (
     PLANES,
     fill,
 )
+from marl_clean.observation._news import news_around, news_numbers
 from marl_clean.observation.base import Observation
 from marl_clean.settings import Form, Memory, OddFromThree, Probability
 from marl_clean.world.distance import UNREACHABLE, first_steps, walking_distance
@@ -46,7 +47,8 @@ from marl_clean.world.surroundings import (
 class Compass(Observation):
     """Where to go and what is near, in numbers that mean the same in a house of any size.
 
-    Adds `("agents", "observation")`, float32 `[*B, n, 5 K^2 + 227]`, all in [-1, 1]. A goal
+    Adds `("agents", "observation")`, float32 `[*B, n, 5 K^2 + 227]`, all in [-1, 1]; with `news`
+    K^2 + 50 more. A goal
     is a cell of the house, not of its ring, that the robot's map does not know, or knows as
     available and not cleaned in this episode (never dirt that came back by ageing), or as spilt. In
     this order:
@@ -64,7 +66,10 @@ class Compass(Observation):
     - for each action whether it leads to the nearest unknown cell of the house to which no other
       robot is nearer; and its distance, as above;
     - for each action whether it leads to the nearest unknown cell of the house that does not just
-      continue a known wall; and its distance.
+      continue a known wall; and its distance;
+    - with `news`: which of the K x K cells around the robot, and what share of the 5 x 5 blocks of
+      3 x 3 cells and of 9 x 9, is unknown to it and known to a robot in contact. No robot can sense
+      this: it is what a message would hold that tells all of it, where the receiver needs it.
 
     Distances are over cells known to be available; robots block no path. With private and merged
     maps everything is computed from the robot's own map, and other robots are those in contact;
@@ -77,29 +82,41 @@ class Compass(Observation):
     Args:
         view_size: K, the side of the square in cells, odd, at least 3.
         position_noise: see `Crop`.
+        news: see above.
     """
 
     gives = Form.VECTOR
 
-    def __init__(self, view_size: OddFromThree = 7, position_noise: Probability = 0.0) -> None:
+    def __init__(
+        self, view_size: OddFromThree = 7, position_noise: Probability = 0.0, news: bool = False
+    ) -> None:
         super().__init__()
+        self.news = news
         self.view_size = view_size
         self.position_noise = position_noise
         self.reach_cells = max(1, view_size // 2)
 
     def shape(self) -> tuple[int, ...]:
+        return (self._own_numbers + (news_numbers(self.view_size) if self.news else 0),)
+
+    @property
+    def _own_numbers(self) -> int:
         blocks = len(BLOCK_CELLS) * BLOCK_PLANES * BLOCKS**2
-        return (PLANES * self.view_size**2 + blocks + FURTHER,)
+        return PLANES * self.view_size**2 + blocks + FURTHER
 
     def read(self, state: State, setup: Setup) -> Entries:
         by = self.by_machine_code if state.record.device.type == "cpu" else self.by_tensors
-        return {keys.OBSERVATION: by(state, setup)}
+        seen = by(state, setup)
+        if self.news:
+            news = news_around(state, setup, self._centre(state, setup), self.view_size)
+            seen = torch.cat([seen, news], -1)
+        return {keys.OBSERVATION: seen}
 
     @torch.compiler.disable
     def by_machine_code(self, state: State, setup: Setup) -> Float[Tensor, "env agent number"]:
         """Return the observation in one pass, on a CPU."""
         centre, visible = self._centre(state, setup), seen_robots(state, setup)
-        out = torch.empty((*centre.shape[:2], *self.shape()))
+        out = torch.empty((*centre.shape[:2], self._own_numbers))
         record = state.record.contiguous().numpy()
         places = (each.contiguous().numpy() for each in (state.position, centre))
         now = (state.step + 1).to(state.record.dtype).numpy()

@@ -27,7 +27,7 @@ class PlainCompass:
     """The observation of one robot, from the plain world alone."""
 
     def __init__(self, world: World, robot: int, noise: float, index: int) -> None:
-        self.world, self.known = world, world.map_of(robot)
+        self.world, self.robot, self.known = world, robot, world.map_of(robot)
         self.centre = believed(world, robot, noise, index)
         self.others = [world.positions[other] for other in world.seen_robots(robot)]
         rows, cols = range(-1, world.rows + 1), range(-1, world.cols + 1)
@@ -133,6 +133,23 @@ class PlainCompass:
         onward = {place for place in unvisited if not self.continues_a_wall(place)}
         return shown + self.ways(onward, [])
 
+    def news(self, side: int) -> list[float]:
+        """Which cells a robot in contact knows and this one does not: near, and in blocks."""
+        row, col = self.centre
+        robots = range(self.world.n_agents)
+        mine = self.world.contacts()[self.robot]
+        told = {p for other in robots if mine[other] for p in self.world.map_of(other)}
+        news = told - set(self.known)
+        reach = range(-(side // 2), side // 2 + 1)
+        shown = [float((row + down, col + right) in news) for down in reach for right in reach]
+        for block in (3, 9):
+            first = 5 * block // 2
+            for i, j in product(range(5), repeat=2):
+                top, left = row - first + i * block, col - first + j * block
+                cells = product(range(top, top + block), range(left, left + block))
+                shown.append(sum(place in news for place in cells) / block**2)
+        return shown
+
     def to_goal(self, place: Place, goals: set[Place]) -> int | None:
         """Steps from a place to the nearest goal; None from where no robot can walk."""
         if place in goals:
@@ -186,13 +203,14 @@ def test_a_larger_house_beside_it_changes_nothing(data: st.DataObject) -> None:
 
 def assert_compass(drawn: list[Case], side: int, noise: float) -> None:
     base = env_of(drawn).base_env
-    compass = Compass(side, noise)
+    compass = Compass(side, noise, news=True)
     env = TransformedEnv(base, Compose(topology_of(drawn[0].settings), compass))
     for frame, worlds in follow(env, drawn, STEPS):
         shown = frame[keys.OBSERVATION]
         by_tensors = compass.by_tensors(base.state, base.setup)
-        torch.testing.assert_close(by_tensors, shown, **CLOSE)
+        torch.testing.assert_close(by_tensors, shown[..., : by_tensors.shape[-1]], **CLOSE)
         for index, world in worlds:
             for robot in range(world.n_agents):
-                expected = PlainCompass(world, robot, noise, index).numbers(side)
+                plain = PlainCompass(world, robot, noise, index)
+                expected = plain.numbers(side) + plain.news(side)
                 torch.testing.assert_close(shown[index, robot], torch.tensor(expected), **CLOSE)
