@@ -14,6 +14,7 @@ from marl_clean.commands.efficiency_part import EFFICIENCY, efficiency_of, to_cs
 from marl_clean.commands.gathering import (
     World,
     common_prefix,
+    engineered_of,
     gather,
     measured_of,
     planners_of,
@@ -50,6 +51,7 @@ class WorldComparison:
         differences: of each row to it, measure by measure.
         statistics: of each row and planner, as `evaluation.row_statistics` describes.
         measured: every run and planner, as an export writes it.
+        engineered: labels of rows whose messages are not learnt; of an export it is not known.
     """
 
     pools: dict[str, Entry]
@@ -59,6 +61,7 @@ class WorldComparison:
     differences: list[dict[str, Any]]
     statistics: list[dict[str, Any]]
     measured: list[Measured]
+    engineered: list[str]
 
 
 def main(
@@ -174,17 +177,19 @@ def comparison_of(
     planner = world.planners.get(YARDSTICK)
     every = [*rows, *planners_of(world)]
     best = None if oracle is None else twin_of(ORACLE, oracle, world, rows)
-    measured = measured_of(key, world, rows)
+    measured, engineered = measured_of(key, world, rows), engineered_of(world, rows)
     if len(rows) < 2 and against is None:
         statistics = row_statistics(every, None, best)
-        return WorldComparison(pools, planner, entries, None, [], statistics, measured)
+        return WorldComparison(pools, planner, entries, None, [], statistics, measured, engineered)
     reference = reference_of(world, rows, against)
     if unpaired := unpaired_seeds(rows, reference):
         listed = "; ".join(unpaired)
         log.warning("seeds that %s cannot be paired with: %s", reference.label, listed)
     statistics = row_statistics(every, reference, best)
     compared = differences(rows, reference)
-    return WorldComparison(pools, planner, entries, reference, compared, statistics, measured)
+    return WorldComparison(
+        pools, planner, entries, reference, compared, statistics, measured, engineered
+    )
 
 
 def draw(world: WorldComparison, number: int, console: Console) -> None:
@@ -193,6 +198,7 @@ def draw(world: WorldComparison, number: int, console: Console) -> None:
     from marl_clean.report.comparison import draw_comparison
     from marl_clean.report.origin import Origin
     from marl_clean.report.profiles import draw_efficiency, draw_improvement, draw_profiles
+    from marl_clean.report.recovered import draw_recovered
 
     first = next(iter(world.pools.values()))
     title = f"{first['house_set']}, {first['n_agents']} robots; 95 % intervals"
@@ -205,6 +211,11 @@ def draw(world: WorldComparison, number: int, console: Console) -> None:
         figures["compare_improvement"] = draw_improvement(title, world.statistics)
     if curves := efficiency_of(world.measured, validated(world.measured)):
         figures["compare_efficiency"] = draw_efficiency(title, curves)
+    if any("recovered" in row for row in world.statistics):
+        by_name = {**world.pools, **{entry["policy"]: entry for entry in world.entries}}
+        bits = {name: entry["summary"]["bits"]["mean"] for name, entry in by_name.items()}
+        shown = (title, world.statistics, bits, world.engineered)
+        figures["compare_recovered"] = draw_recovered(*shown)
     hashes = [item.entry["config_hash"] for item in world.measured]
     origin = Origin(command_line(), hashes)
     for name, figure in figures.items():

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from marl_clean.commands.labels import labels, level_of
+from marl_clean.config.class_source import constant
 from marl_clean.config.config_hash import OUTSIDE_THE_HASH
 from marl_clean.config.schema import choices
 from marl_clean.config.stored import find_run, load_config
@@ -173,6 +174,19 @@ def reference_of(world: World, rows: Sequence[Row], against: str | None) -> Row:
         row for row, setting in zip(rows, world.settings.values(), strict=True) if setting.silent
     ]
     return silent[0] if silent else rows[0]
+
+
+def engineered_of(world: World, rows: Sequence[Row]) -> list[str]:
+    """The labels of rows whose messages are parts of maps or entries of the env, not learnt."""
+    return [
+        row.label
+        for row, setting in zip(rows, world.settings.values(), strict=True)
+        if setting.config is not None and _is_engineered(setting.config["comm"]["_target_"])
+    ]
+
+
+def _is_engineered(target: str) -> bool:
+    return constant(target, "exchanges") is not None or constant(target, "reads") is not None
 
 
 def planners_of(world: World) -> list[Row]:

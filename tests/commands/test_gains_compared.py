@@ -14,6 +14,7 @@ from marl_clean.commands import compare
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.causal import change
 from marl_clean.evaluation.records import make_entry, write_entries
+from marl_clean.report.recovered import draw_recovered, of_seeds
 from tests.commands.test_compare import house, write_run
 from tests.commands.test_intervention_part import LISTENING
 
@@ -107,6 +108,28 @@ def test_rows_and_planners_are_named_by_their_labels(runs: dict[str, list[str]])
     assert swapped["recovered"]["T_90"]["value"] is None
     assert swapped["recovered"]["T_90"]["gap"]["value"] < 0
     assert all("recovered" not in row for row in marl_clean.compare(*arms).statistics)
+
+
+def test_the_figure_shows_what_every_seed_recovers(
+    runs: dict[str, list[str]], tmp_path: Path
+) -> None:
+    arms = [*runs["plan"], *runs["silent"]]
+    [world] = compare.compared(arms, oracle=str(tmp_path / "oracle-s*"))
+    plan, silent, planner = world.statistics
+    shown = of_seeds(plan, "T_90")
+    assert np.mean(shown) == pytest.approx(plan["recovered"]["T_90"]["value"])
+    first, second = (np.mean(times(LEVELS["plan"], seed)) for seed in (0, 1))
+    gap = plan["recovered"]["T_90"]["gap"]["value"]
+    assert shown[1] - shown[0] == pytest.approx((first - second) / gap)
+    assert of_seeds(planner, "T_90") == []
+
+    bits = {"comm=plan": 512.0, "comm=none": 0.0, "nearest_unknown": 0.0}
+    panel = draw_recovered("", world.statistics, bits, ["comm=plan"]).axes[0]
+    marks = {line.get_label(): line for line in panel.lines if not line.get_label()[0] == "_"}
+    assert marks.keys() == {"comm=plan (2 seeds)", "comm=none (2 seeds)", "nearest_unknown"}
+    assert marks["comm=plan (2 seeds)"].get_fillstyle() == "none"
+    assert marks["comm=none (2 seeds)"].get_fillstyle() == "full"
+    assert marks["comm=plan (2 seeds)"].get_xydata().tolist() == [[512.0, np.mean(shown)]]
 
 
 def test_seeds_without_a_twin_are_named(
