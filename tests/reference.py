@@ -72,6 +72,7 @@ class Settings:
     paid_by: PaidBy = PaidBy.OWN_MAP
     collision_pays: Fraction | float = 0  # what a collision adds to the own reward
     robots_shown: bool = True
+    robots_noted: bool = False
     shaping: Fraction | float = 0  # w of the shaping term w (gamma phi' - phi)
     gamma: Fraction | float = Fraction(7, 8)  # the learner's
     spills: int = 0  # an episode; when and where is drawn elsewhere, and handed to the world
@@ -296,6 +297,7 @@ class World:
         self._merge()
         self._exchange()
         self._lend()
+        self._note_robots()
 
     # ---- what is there
 
@@ -463,6 +465,7 @@ class World:
         self._merge()
         self._exchange()
         self._lend()
+        self._note_robots()
 
         terminated = self.cleaned == free_places(self.free)
         after = [0 if terminated else self.potential(robot) for robot in robots]
@@ -631,6 +634,17 @@ class World:
                     known[place] = Record(blocked=False, written=self.steps, spilt=True)
                 elif held is None or held.blocked:
                     known[place] = Record(blocked=False, written=self.steps)
+
+    def _note_robots(self) -> None:
+        """A private map notes where robots in contact stand, which are clean cells."""
+        if not self.settings.robots_noted:
+            return
+        for robot, line in enumerate(self.contacts()):
+            for other, live in enumerate(line):
+                if live:
+                    seen = Record(blocked=False, written=self.steps, cleaned=self.steps)
+                    for maps in (self.maps, self.own_maps) if self.settings.lends else (self.maps,):
+                        maps[robot][self.positions[other]] = seen
 
     def _merge(self) -> None:
         """Robots in contact unite their maps, from the maps as they were before any union."""

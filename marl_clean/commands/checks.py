@@ -26,7 +26,7 @@ from marl_clean.house.floorplan import FloorPlan
 from marl_clean.house.rooms import Rooms
 from marl_clean.settings import Form, KnowledgeOfTeam, Memory
 from marl_clean.trainer._frames import check_frames
-from marl_clean.world.rules import knowledge_of_each
+from marl_clean.world.rules import check_noted, knowledge_of_each
 
 
 def check_house(config: DictConfig) -> None:
@@ -49,12 +49,14 @@ def check_house(config: DictConfig) -> None:
 
 
 def check_knowledge(config: DictConfig) -> None:
-    """Raises BadInput where `env.knowledge` is a list that does not fit robots or memory."""
+    """Raises BadInput where what robots know or note does not fit robots, memory or sight."""
     if has_houses(config) and "knowledge" in config.env:
         env = OmegaConf.to_container(config.env)
         assert isinstance(env, dict)
         knowledge = convert(env["knowledge"], KnowledgeOfTeam)
-        knowledge_of_each(knowledge, Memory(env["memory"]), env["n_agents"])
+        memory = Memory(env["memory"])
+        knowledge_of_each(knowledge, memory, env["n_agents"])
+        check_noted(env["robots_noted"], env["robots_shown"], memory)
 
 
 def check_shows_houses(config: DictConfig) -> None:

@@ -23,6 +23,7 @@ LATER: dict[str, Any] = {
     "env.paid_by": "own_map",
     "env.collision_pays": 0.0,
     "env.robots_shown": True,
+    "env.robots_noted": False,
     "agent.mask_walls": False,
     "trainer.imitate": None,
     "trainer.imitate_frames_share": 0.1,

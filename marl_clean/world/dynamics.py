@@ -185,6 +185,19 @@ def touch_(state: State, rules: Rules) -> None:
     write_records_(state.record, base + cell, learnt)
 
 
+def note_robots_(state: State, contact: Bool[Tensor, "env agent agent"], rules: Rules) -> None:
+    """Write into every private map where the robots in contact stand (`robots_noted`).
+
+    They clean where they stand, so the cell is written as the own one is, in lent maps too.
+    """
+    cell = cell_index(state.position, rules.margin, state.blocked.shape[2])
+    index = (map_base(state)[..., None] + cell[:, None]).flatten(1)
+    now = (state.step + 1).to(state.record.dtype)[:, None]
+    for maps in (state.record, *([] if state.own_record is None else [state.own_record])):
+        held = maps.view(-1)[index]
+        write_records_(maps, index, torch.where(contact.flatten(1), now, held))
+
+
 def cells_beside(state: State, rules: Rules) -> Int[Tensor, "env agent 4"]:
     """Return the flat indices of each robot's up, right, down and left neighbour."""
     around = state.position[:, :, None] + moves_on(state.position.device)

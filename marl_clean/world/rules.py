@@ -68,6 +68,8 @@ class Rules:
         collision_pays: what each collision adds to a robot's own reward, a term of its own, at most
             0; beside the three of the paper under both readings of `cases`.
         robots_shown: whether other robots show in what a robot sees; its own place always does.
+        robots_noted: whether private maps note of a robot in contact that the cell it stands on is
+            available and has just been cleaned; for maps that are not private False.
         shaping: w, the weight of the shaping term, which a transform adds to what robots earn where
             it is above 0; nothing in the worlds themselves depends on it.
         bump_noise: probability that a bump goes unnoticed: nothing is written, nothing paid.
@@ -80,7 +82,7 @@ class Rules:
             value is at most `uncleaned_at_most`.
 
     Raises:
-        BadInput: a value outside its range.
+        BadInput: a value outside its range, or robots noted that none sees or has a map of.
     """
 
     memory: Memory = Memory.SHARED
@@ -98,6 +100,7 @@ class Rules:
     paid_by: PaidBy = PaidBy.OWN_MAP
     collision_pays: NonPositiveFloat = 0.0
     robots_shown: bool = True
+    robots_noted: bool = False
     shaping: NonNegativeFloat = 0.0
     bump_noise: Probability = 0.0
     spills: Spills = Spills()
@@ -112,6 +115,7 @@ class Rules:
         values["spills"] = vars(self.spills)
         for problem in problems_of_mapping(values, types, "env.", ()):
             raise BadInput(f"{problem.key}: {problem.reason}")
+        check_noted(self.robots_noted, self.robots_shown, self.memory)
 
         # Ages are decided on fractions, once: floats would round at the thresholds.
         half = Fraction(1, 2)
@@ -129,6 +133,14 @@ class Rules:
     def kinds_of_knowledge(self) -> list[Knowledge]:
         """What is known by any robot at step 0; repeated where a list gives it to several."""
         return [self.knowledge] if isinstance(self.knowledge, str) else self.knowledge
+
+
+def check_noted(robots_noted: bool, robots_shown: bool, memory: Memory) -> None:
+    """Raises BadInput where robots are to be noted that nobody sees, or all maps hold anyway."""
+    if robots_noted and not robots_shown:
+        raise BadInput("env.robots_noted=true: nobody is seen; valid with env.robots_shown=true")
+    if robots_noted and memory != Memory.PRIVATE:
+        raise BadInput(f"env.robots_noted=true: maps are {memory}; valid with env.memory=private")
 
 
 def knowledge_of_each(knowledge: KnowledgeOfTeam, memory: Memory, n_agents: int) -> list[Knowledge]:

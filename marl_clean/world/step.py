@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from marl_clean.settings import Memory, Sensor
-from marl_clean.world.dynamics import Outcome, advance_, episode_ends, touch_
+from marl_clean.world.dynamics import Outcome, advance_, episode_ends, note_robots_, touch_
 from marl_clean.world.episode import begin
 from marl_clean.world.exchange import Exchange, exchange_
 from marl_clean.world.lending import lend_
@@ -68,7 +68,7 @@ def settle_(state: State, outcome: Outcome, setup: Setup, along: Along) -> Settl
     """Do what follows once everything has moved: touch, meet, end, be paid, be observed."""
     if setup.rules.sensor is Sensor.TOUCH4:
         touch_(state, setup.rules)
-    _meet_(state, setup)
+    meet_(state, setup)
     terminated, truncated = episode_ends(state, setup.rules.stuck_after)
     reward = None
     if along.pay is not None and along.adjacency is not None:
@@ -95,14 +95,14 @@ def begin_rows_(
     """
     setup = setup.of_rows(rows)
     fresh = begin(setup, episode)
-    _meet_(fresh, setup)
+    meet_(fresh, setup)
     entries = _entries(fresh, setup, reads)
     state.write_rows_(rows, fresh)
     return fresh, entries
 
 
-def _meet_(state: State, setup: Setup) -> None:
-    """Unite, exchange or lend the maps of robots in contact, before anyone observes."""
+def meet_(state: State, setup: Setup) -> None:
+    """Let robots in contact unite, exchange or lend maps and be noted, before anyone observes."""
     if setup.contact is None:
         return
     if setup.rules.memory is Memory.MERGED:
@@ -111,6 +111,8 @@ def _meet_(state: State, setup: Setup) -> None:
         exchange_(state, setup.contact(state, setup.rules), setup.exchange, setup.rules)
     elif setup.exchange is not None:
         lend_(state, setup.contact(state, setup.rules), setup.rules)
+    if setup.rules.robots_noted:  # last: others are told of them with the next step
+        note_robots_(state, setup.contact(state, setup.rules), setup.rules)
 
 
 def _entries(state: State, setup: Setup, reads: Sequence[Read]) -> Entries:

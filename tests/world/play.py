@@ -16,7 +16,7 @@ from marl_clean.observation.crop import Crop
 from marl_clean.reward.individual import Individual
 from marl_clean.reward.neighbours import Neighbours
 from marl_clean.reward.team import Team
-from marl_clean.settings import HouseOrder, Knowledge, Memory, Sensor, Spills
+from marl_clean.settings import HouseOrder, Knowledge, Sensor, Spills
 from marl_clean.topology.full import Full
 from marl_clean.topology.none import Nobody
 from marl_clean.topology.radius import Radius
@@ -26,7 +26,8 @@ from marl_clean.world.dynamics import touch_
 from marl_clean.world.exchange import Exchange
 from marl_clean.world.lending import Lending
 from marl_clean.world.rules import Rules
-from marl_clean.world.shared_map import MEMORISED_BLOCKED, MEMORISED_FREE, merge_maps
+from marl_clean.world.shared_map import MEMORISED_BLOCKED, MEMORISED_FREE
+from marl_clean.world.step import meet_
 from tests.reference import Settings, World
 from tests.world.strategies import Case
 
@@ -94,6 +95,7 @@ def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
         paid_by=settings.paid_by,
         collision_pays=float(settings.collision_pays),
         robots_shown=settings.robots_shown,
+        robots_noted=settings.robots_noted,
         shaping=float(settings.shaping),
         spills=Spills(
             settings.spills,
@@ -179,8 +181,7 @@ def believe(base: CleaningEnv, cases: list[Case]) -> None:
             maps[min(robot, len(maps) - 1), row + margin, col + margin] = 1.0
     if base.rules.sensor is Sensor.TOUCH4:
         touch_(state, base.rules)
-    if base.rules.memory is Memory.MERGED:
-        state.record = merge_maps(state.record, base.setup.contact(state, base.rules))
+    meet_(state, base.setup)
 
 
 def follow(

@@ -158,6 +158,7 @@ def settings(draw: st.DrawFn) -> Settings:
     if memory is not Memory.SHARED:
         each = st.tuples(*[st.sampled_from(Knowledge)] * MOST_AGENTS)
         knowledge = st.one_of(knowledge, each)
+    shown = draw(st.sampled_from([True, True, False]))
     return Settings(
         memory=memory,
         knowledge=draw(knowledge),
@@ -173,7 +174,8 @@ def settings(draw: st.DrawFn) -> Settings:
         wall_pays=draw(st.sampled_from([2, 2, Fraction(1, 2), 0])),
         paid_by=draw(st.sampled_from(PaidBy)),
         collision_pays=draw(st.sampled_from([0, 0, Fraction(-1, 2), -3])),
-        robots_shown=draw(st.sampled_from([True, True, False])),
+        robots_shown=shown,
+        robots_noted=shown and memory is Memory.PRIVATE and draw(st.booleans()),
         shaping=draw(st.sampled_from([0, 0, Fraction(1, 2)])),
         spills=draw(st.sampled_from([0, 0, 1, 3, 8])),
         spill_size=draw(st.integers(1, 4)),

@@ -195,6 +195,8 @@ WRONG = {
     ),
     "env.paid_by=team": "own_map, team_map, .*did you mean team_map",
     "env.robots_shown=maybe": "must be true or false",
+    "env.robots_noted=true": "maps are shared; valid with env.memory=private",
+    "env.robots_noted=true env.robots_shown=false": "nobody is seen; valid with env.robots_shown=",
     "env.collision_pays=1": "must be a number, at most 0, not 1",
     "env.collision_pays=-.inf": "must be a number, at most 0",
 }
@@ -230,13 +232,14 @@ def test_a_team_of_another_size_is_refused_for_a_checkpoint_with_a_list(tmp_path
 def test_runs_from_before_these_keys_keep_their_hash() -> None:
     config = compose_config()
     before = OmegaConf.create(OmegaConf.to_container(config))
-    for key in ("paid_by", "collision_pays", "robots_shown"):
+    for key in ("paid_by", "collision_pays", "robots_shown", "robots_noted"):
         del before.env[key]
     assert config_hash(before) == config_hash(config)
     for change in (
         ["env.paid_by=team_map"],
         ["env.collision_pays=-1"],
         ["env.robots_shown=false"],
+        ["env.memory=private", "env.robots_noted=true"],
         ["env.memory=private", "env.knowledge=[memorised,unknown]"],
     ):
         assert config_hash(compose_config(change)) != config_hash(config)
