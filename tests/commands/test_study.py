@@ -15,7 +15,7 @@ from rich.console import Console
 
 import marl_clean
 from marl_clean import cli
-from marl_clean.commands import study, study_report
+from marl_clean.commands import study, study_report, study_screen
 from marl_clean.commands.frozen import FROZEN, read_frozen
 from marl_clean.commands.study_plan import PLANNERS, read_study
 from marl_clean.commands.study_screen import nothing_to_win
@@ -375,6 +375,7 @@ def test_shipped_studies_are_valid():
 @pytest.mark.slow
 def test_an_oracle_is_screened_first_and_shares_are_recovered_from_it(trained, monkeypatch):
     """Where all share a map, merged maps tell nobody anything new."""
+    monkeypatch.setattr(study_screen, "HOUSES", 10)
     arms = {**STUDY["arms"], "oracle": ["env.memory=merged", "topology=full"]}
     code, out = run(monkeypatch, changed(arms=arms, oracle="oracle", seeds=[1, 2]))
     assert code == 0 and len(trained) == 6
@@ -392,6 +393,7 @@ def test_an_oracle_is_screened_first_and_shares_are_recovered_from_it(trained, m
 
 @pytest.mark.slow
 def test_an_oracle_that_gains_is_no_news(trained, monkeypatch):
+    monkeypatch.setattr(study_screen, "HOUSES", 20)
     arms = {"silent": ["env.memory=private"], "oracle": ["env.memory=merged", "topology=full"]}
     rules = {"wins": {"arm": "oracle", "ratio_below": 0.9}}
     code, out = run(monkeypatch, changed(arms=arms, rules=rules, oracle="oracle", seeds=[1]))
@@ -400,4 +402,4 @@ def test_an_oracle_that_gains_is_no_news(trained, monkeypatch):
     swapped = {"baseline": "oracle", "oracle": "silent", "measure": "T_90"}
     line = nothing_to_win(swapped, configs)
     assert line is not None and line.startswith("study.oracle: nothing to win: T_90 of nearest")
-    assert line.endswith("in arms oracle and silent, not clearly better in 50 validation houses")
+    assert line.endswith("in arms oracle and silent, not clearly better in 20 validation houses")
