@@ -36,8 +36,11 @@ EVERYTHING = {
 
 
 def main() -> None:
-    # To find out what vectors the compiler can make takes seconds, and the graphs are the same.
+    # To find out what vectors the compiler can make takes seconds, and the graphs are the same; so
+    # do processes that compile, and fast machine code.
     inductor.cpp.vec_isa_ok = False
+    inductor.compile_threads = 1
+    inductor.aot_inductor.debug_compile = True
     levels = sys.argv[1:]
     for level in levels or ("commnet", "tarmac"):
         check_gradients(level, "inductor" if levels else "aot_eager")

@@ -44,12 +44,15 @@ SIZE = re.compile(r"empty_strided_\w+\(\(([\d, ]+)\)")
 
 def main() -> None:
     torch._dynamo.config.fail_on_recompile_limit_hit = True  # not silently uncompiled
-    # To find out what vectors the compiler can make takes seconds, and the graphs are the same.
+    # To find out what vectors the compiler can make takes seconds, and the graphs are the same; so
+    # do processes that compile, and fast machine code.
     inductor.cpp.vec_isa_ok = False
+    inductor.compile_threads = 1
+    inductor.aot_inductor.debug_compile = True
     settings = sys.argv[1:]
     plain, compiled = make(settings), make([*settings, "env.compile=true"])
     if not settings:
-        begin_several_only(compiled)
+        begin_several_wholly(compiled)
     _, codes = run_and_get_code(play_beside, plain, compiled)
     if settings:  # some observations read whole maps, and make as large ones of it
         return
@@ -57,6 +60,7 @@ def main() -> None:
     # Graphs without machine code, which takes minutes of what is in all of these settings.
     plain, captured = make(CAPTURED), make(CAPTURED)
     captured.base_env.compile(backend="aot_eager", options=None)
+    begin_several_wholly(captured)
     play_beside(plain, captured)
     env, action = make([*STEP, "env.compile=true"]), torch.zeros(WORLDS, 3, dtype=torch.int64)
     _, codes = run_and_get_code(env.base_env.step_worlds, action)
@@ -70,16 +74,17 @@ def make(settings: list[str]) -> TransformedWorlds:
     return build.make_env(compose_config([*SMALL, *settings]))
 
 
-def begin_several_only(env: TransformedWorlds) -> None:
-    """Compile beginnings of several worlds that are observed at once, and no others.
+def begin_several_wholly(env: TransformedWorlds) -> None:
+    """Compile beginnings of several worlds that are observed at once; only capture the others.
 
     One world, and all of them unobserved, are graphs of their own that hold nothing else, and take
-    as long to compile; these are captured only.
+    as long to compile.
     """
     several = env.base_env.compiled(begin_rows_)
+    captured = torch.compile(begin_rows_, backend="eager", isolate_recompiles=True)
 
     def begin(state: State, setup: Setup, rows: torch.Tensor, *others: Any) -> Any:
-        chosen = several if 1 < len(rows) < WORLDS else begin_rows_
+        chosen = several if 1 < len(rows) < WORLDS else captured
         return chosen(state, setup, rows, *others)
 
     env.base_env._compiled[begin_rows_] = begin
