@@ -70,10 +70,16 @@ def played(env: CleaningEnv, actions, certify: bool = False, bits: int = 0) -> R
 HOUSES = ("....... ..#.... .......", "... .#. ... ..# ... .#. ...", ".....", "#.# ... #.#")
 
 
-@family("n_agents", [1, 3], fast=[3])
-@pytest.mark.parametrize("certify", [False, True])
-@pytest.mark.parametrize("memory", [Memory.SHARED, Memory.PRIVATE])
-@pytest.mark.parametrize("spilling", [0, 3])
+MEASURED = [
+    (n_agents, True, memory, spilling)
+    for n_agents in (1, 3)
+    for memory in (Memory.SHARED, Memory.PRIVATE)
+    for spilling in (0, 3)
+]
+MEASURED += [(1, False, Memory.PRIVATE, 0), (3, False, Memory.SHARED, 3)]  # T_certify alone lacks
+
+
+@family(("n_agents", "certify", "memory", "spilling"), MEASURED, fast=MEASURED[4:])
 def test_random_episodes_are_measured_as_by_the_plain_world(n_agents, certify, memory, spilling):
     env = env_of(
         houses_of(*HOUSES),
