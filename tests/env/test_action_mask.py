@@ -35,7 +35,7 @@ def config(*settings: str):
 
 @pytest.mark.slow
 @given(case=cases())
-@hypothesis_settings(max_examples=60, deadline=None)
+@hypothesis_settings(max_examples=30, deadline=None)
 def test_every_mask_of_random_episodes_is_the_reference(case: Case) -> None:
     env = env_of([case])
     env.append_transform(KnownWalls())

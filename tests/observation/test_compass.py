@@ -186,7 +186,7 @@ class PlainCompass:
     side=st.sampled_from([3, 5, 7]),
     noise=st.sampled_from([0.0, 0.0, 0.5]),
 )
-@hypothesis_settings(max_examples=40, deadline=None)
+@hypothesis_settings(max_examples=20, deadline=None)
 def test_every_number_is_a_plain_counts(case: Case, side: int, noise: float) -> None:
     assert_compass([case], side, noise)
 

@@ -64,7 +64,7 @@ def expected_plane(
     side=st.sampled_from([1, 3, 5, 7]),
     noise=st.sampled_from([0.0, 0.0, 0.5]),
 )
-@hypothesis_settings(max_examples=40, deadline=None)
+@hypothesis_settings(max_examples=20, deadline=None)
 def test_the_plane_is_a_plain_searchs(case: Case, side: int, noise: float) -> None:
     assert_plane([case], side, noise)
 

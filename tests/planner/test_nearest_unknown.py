@@ -41,7 +41,7 @@ def follow(case: Case, planner: Planner, compare) -> None:
 
 @pytest.mark.slow
 @given(case=cases(max_agents=4), assignment=st.sampled_from([Assignment.NONE, Assignment.GREEDY]))
-@hypothesis_settings(max_examples=40, deadline=None)
+@hypothesis_settings(max_examples=20, deadline=None)
 def test_actions_are_those_of_breadth_first_search(case: Case, assignment: Assignment) -> None:
     def compare(planner: NearestUnknown, world: reference.World, actions: list[int]) -> None:
         for action, expected in zip(
@@ -54,7 +54,7 @@ def test_actions_are_those_of_breadth_first_search(case: Case, assignment: Assig
 
 @pytest.mark.slow
 @given(case=cases(max_agents=3))
-@hypothesis_settings(max_examples=40, deadline=None)
+@hypothesis_settings(max_examples=20, deadline=None)
 def test_hungarian_targets_cost_what_the_best_assignment_costs(case: Case) -> None:
     """Of several best assignments SciPy may take another, so the sum of ways is compared."""
 
@@ -73,7 +73,7 @@ def test_hungarian_targets_cost_what_the_best_assignment_costs(case: Case) -> No
     assignment=st.sampled_from([Assignment.NONE, Assignment.GREEDY]),
     ties=st.sampled_from([Ties.STRAIGHT, Ties.ROTATED]),
 )
-@hypothesis_settings(max_examples=40, deadline=None)
+@hypothesis_settings(max_examples=20, deadline=None)
 def test_ties_are_broken_in_the_robots_own_order(
     case: Case, assignment: Assignment, ties: Ties
 ) -> None:
@@ -109,7 +109,7 @@ def likely_walls(known: reference.Map) -> set[reference.Place]:
 
 @pytest.mark.slow
 @given(case=cases(max_agents=3))
-@hypothesis_settings(max_examples=40, deadline=None)
+@hypothesis_settings(max_examples=20, deadline=None)
 def test_what_is_probably_wall_comes_after_all_that_is_not(case: Case) -> None:
     def compare(planner: NearestUnknown, world: reference.World, actions: list[int]) -> None:
         plain = reference.nearest_unknown(world)

@@ -50,7 +50,7 @@ def sweep(world: reference.World, robot: int, order: list[int]) -> int | None:
 
 @pytest.mark.slow
 @given(case=cases(max_agents=3), planner=st.sampled_from([Boustrophedon, Spiral]))
-@hypothesis_settings(max_examples=60, deadline=None)
+@hypothesis_settings(max_examples=30, deadline=None)
 def test_every_step_is_the_rule_taken_literally(case: Case, planner: type[Sweep]) -> None:
     env, world = env_of([case]), case.world()
     policy, td = planner().bind(env.base_env), start(env, [case])

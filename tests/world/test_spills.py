@@ -242,13 +242,13 @@ spilling = settings().flatmap(
 
 @pytest.mark.slow
 @given(case=cases(settings=spilling, max_agents=8))
-@hypothesis_settings(max_examples=60, deadline=None)
+@hypothesis_settings(max_examples=30, deadline=None)
 def test_spills_in_random_play_are_those_of_the_reference(case: Case) -> None:
     assert_same_play([case], whole_map=True)
 
 
 @given(case=cases(settings=spilling, max_agents=8))
-@hypothesis_settings(max_examples=60, deadline=None)
+@hypothesis_settings(max_examples=30, deadline=None)
 def test_spills_keep_their_promises_in_the_plain_world(case: Case) -> None:
     """What the reference does is what the rules say: a second look at the same rules."""
     world = case.world()
