@@ -61,8 +61,10 @@ def test_a_signal_to_the_driver_ends_its_workers_with_their_states_saved(
     below = children(sweep.pid)
     sweep.send_signal(sent)
     assert sweep.wait(100) == code, printed.read_text()
-    time.sleep(5)
-    assert not [process for process in below if is_running(process)]
+    deadline = time.monotonic() + 5
+    while left := [process for process in below if is_running(process)]:
+        assert time.monotonic() < deadline, left
+        time.sleep(0.1)
     for metrics in trained:
         assert Checkpoints(metrics.parent / "checkpoints").newest("state") is not None
         assert "stopped by a signal" in (metrics.parent / "job.log").read_text()
