@@ -221,7 +221,8 @@ def test_a_preset_that_sweeps_is_one_run_without_m(place: Path, trained: list[st
 @pytest.mark.parametrize("preset", SWEEPING)
 def test_every_sweep_of_a_preset_is_made_of_distinct_sound_jobs(preset: str) -> None:
     swept = sweep_of(conf_folder() / "experiment" / f"{preset}.yaml")
-    fewer = {"seed": "0,1"} if "seed" in swept else {}  # the other seeds are as these two
+    seeds = "0,1" if preset == SWEEPING[-1] else "0"  # the others differ in no more
+    fewer = {"seed": seeds} if "seed" in swept else {}
     jobs = named_jobs(parse_overrides([f"experiment={preset}", *map("=".join, fewer.items())]))
     assert len(jobs) == math.prod(len(v.split(",")) for v in {**swept, **fewer}.values())
 
