@@ -78,12 +78,16 @@ def differences_of(
     zeros: Float[Tensor, "env agent action"],
     others: Sequence[Float[Tensor, "env agent action"]],
 ) -> dict[str, Float[Tensor, "env agent"]]:
-    """How replaced messages change each robot's action values; masked actions are ignored."""
+    """How replaced messages change each robot's action values; masked actions are ignored.
+
+    Where one action alone is allowed no message moves a choice.
+    """
     differences = {}
     chance = _policy(value)
     valued = value > torch.finfo(value.dtype).min
     least = torch.where(valued, value, torch.inf).amin(-1)
     spread = (value.amax(-1) - least).clamp(min=1e-8)
+    spread = torch.where(valued.sum(-1) > 1, spread, torch.inf)
     for name, other in (("zero", zeros), ("shuffle", others[0])):
         differences[f"{name}_moved"] = (other - value).abs().sum(-1) / valued.sum(-1) / spread
         differences[f"{name}_switched"] = (other.argmax(-1) != value.argmax(-1)).to(value.dtype)

@@ -11,7 +11,6 @@ from marl_clean.env.viewer import INK
 from marl_clean.evaluation.gains import MEASURES
 from marl_clean.report.axes import (
     STYLE,
-    legend_below,
     new_figure,
     row_colour,
     row_mark,
@@ -29,9 +28,9 @@ def draw_recovered(
     """A panel a time: 0 is the silent row, 1 the oracle; bars are 95 % intervals, small dots seeds.
 
     `bits`: those that a row's team sends in a step, by its name. Hollow: rows of `engineered`
-    messages, and planners, which are drawn in ink.
+    messages. Planners are left out: a random one would leave no room for the others.
     """
-    shown = [row for row in rows if "recovered" in row]
+    shown = [row for row in rows if "recovered" in row and row["seeds"]]
     with matplotlib.rc_context(STYLE):
         figure = new_figure(9.0, 3.6 + 0.1 * len(shown))
         ends = shown[0]["recovered"]
@@ -42,22 +41,23 @@ def draw_recovered(
                 axes.axhline(end, color=unit(INK), linewidth=0.8)
             for place, row in enumerate(shown):
                 if row["recovered"][measure]["value"] is not None:
-                    hollow = row["row"] in engineered or not row["seeds"]
+                    hollow = row["row"] in engineered
                     _draw_row(axes, row, measure, bits[row["row"]], place, hollow)
             axes.set_xscale("symlog", linthresh=LINEAR_UP_TO)
             axes.set_xlim(left=-1)
             axes.set_title(f"share of the headroom in {measure} recovered", loc="left")
             axes.set_xlabel("bits that the team sends in a step")
             axes.grid(alpha=0.25, linewidth=0.5)
-        legend_below(figure, "center")
+        handles, names = axes.get_legend_handles_labels()
+        figure.legend(handles, names, frameon=False, fontsize=7, ncols=2, loc="outside lower left")
         return figure
 
 
 def _draw_row(axes: Axes, row: Row, measure: str, bits: float, place: int, hollow: bool) -> None:
     recovered = row["recovered"][measure]
-    colour = row_colour(place) if row["seeds"] else unit(INK)
+    colour = row_colour(place)
     style: Any = {"color": colour, "fillstyle": "none" if hollow else "full"}
-    label = seeds_label(row["row"], len(row["recovered"]["seeds"]) if row["seeds"] else 0)
+    label = seeds_label(row["row"], len(row["recovered"]["seeds"]))
     axes.plot([bits, bits], recovered["ci95"], color=colour, linewidth=1.2)
     axes.plot(bits, recovered["value"], row_mark(place), label=label, markersize=6, **style)
     dots = of_seeds(row, measure)
@@ -66,8 +66,6 @@ def _draw_row(axes: Axes, row: Row, measure: str, bits: float, place: int, hollo
 
 def of_seeds(row: Row, measure: str) -> list[float]:
     """What each seed recovers, between the means of silent and oracle; their mean is the row's."""
-    if not row["seeds"]:  # a planner
-        return []
     recovered, by_seed = row["recovered"], row["by_seed"][measure]
     by_seed = dict(zip(row["seeds"], by_seed, strict=True))
     own = [by_seed[seed] for seed in recovered["seeds"] if seed in by_seed]

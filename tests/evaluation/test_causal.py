@@ -200,6 +200,14 @@ def test_listening_by_hand():
     assert result["shuffle_moved"].item() == 0
 
 
+def test_a_robot_with_one_way_to_go_is_not_moved():
+    shut = torch.finfo(torch.float32).min
+    value = torch.tensor([[[shut, 3.0, shut, shut], [shut, 3.0, 1.0, shut]]])
+    other = torch.tensor([[[shut, 9.0, shut, shut], [shut, 9.0, 1.0, shut]]])
+    result = differences_of(value, other, [other])
+    assert result["zero_moved"].tolist() == [[0.0, 6 / 2 / 2]]  # of two actions, their spread 2
+
+
 def test_cic_of_a_robot_that_obeys_messages_is_their_entropy():
     obeying = [torch.tensor([[[100.0 * (a == k) for a in range(4)]]]) for k in (0, 1)]
     result = differences_of(obeying[0], obeying[0], obeying * 4)
