@@ -709,7 +709,7 @@ class World:
             return
         self.own_maps, contacts = self.maps, self.contacts()
         self.maps = [dict(known) for known in self.own_maps]
-        a_cell = 2 if self.settings.decay_steps is None else 2 + self.max_steps.bit_length()
+        a_cell = 2 + self.max_steps.bit_length()
         self.exchanged_bits = [0] * self.n_agents
         for hearer, line in enumerate(contacts):
             for sender, live in enumerate(line):

@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from marl_clean.world.rules import Rules
 from marl_clean.world.shared_map import merge_maps
 from marl_clean.world.state import State
 
@@ -25,16 +24,14 @@ def begin_lending_(state: State) -> None:
     state.exchanged_bits = torch.zeros_like(state.position[..., 0])
 
 
-def lend_(state: State, contact: Bool[Tensor, "env agent agent"], rules: Rules) -> None:
+def lend_(state: State, contact: Bool[Tensor, "env agent agent"]) -> None:
     """Let `record` be the union of a robot's own map and those lent to it, in this step.
 
     For each cell of the house and the ring around it a message has two bits for what it is
-    (unknown, blocked, dirty or cleaned), and with decay the step at which that was learnt.
+    (unknown, blocked, dirty or cleaned), and the step at which that was learnt.
     """
     state.own_record = state.record
     state.record = merge_maps(state.record, contact)
-    per_cell = torch.full_like(state.rows, 2)
-    if rules.decay_steps is not None:
-        per_cell = per_cell + state.max_steps.to(torch.float64).log2().floor().long() + 1
-    bits = (state.rows + 2) * (state.cols + 2) * per_cell
+    steps = state.max_steps.to(torch.float64).log2().floor().long() + 1
+    bits = (state.rows + 2) * (state.cols + 2) * (2 + steps)
     state.exchanged_bits = bits[:, None] * contact.sum(1)  # over those who hear

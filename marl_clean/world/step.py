@@ -110,7 +110,7 @@ def meet_(state: State, setup: Setup) -> None:
     if isinstance(setup.exchange, Exchange):
         exchange_(state, setup.contact(state, setup.rules), setup.exchange, setup.rules)
     elif setup.exchange is not None:
-        lend_(state, setup.contact(state, setup.rules), setup.rules)
+        lend_(state, setup.contact(state, setup.rules))
     if setup.rules.robots_noted:  # last: others are told of them with the next step
         note_robots_(state, setup.contact(state, setup.rules), setup.rules)
 
