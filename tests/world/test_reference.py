@@ -667,7 +667,8 @@ def test_maps_hold_the_truth_unless_stale(case: Case) -> None:
 @given(cases(furniture_moves=False))
 @quick
 def test_maps_merged_by_all_with_all_are_the_shared_map(case: Case) -> None:
-    readings = replace(case.settings, topology="full", knowledge=Knowledge.UNKNOWN)
+    same = {"topology": "full", "knowledge": Knowledge.UNKNOWN, "robots_noted": False}
+    readings = replace(case.settings, **same)
     case = replace(case, memorised=None)
     merged = replace(case, settings=replace(readings, memory=Memory.MERGED)).world()
     shared = replace(case, settings=replace(readings, memory=Memory.SHARED)).world()
