@@ -66,8 +66,8 @@ def _draw_row(axes: Axes, row: Row, measure: str, bits: float, place: int, hollo
 
 def of_seeds(row: Row, measure: str) -> list[float]:
     """What each seed recovers, between the means of silent and oracle; their mean is the row's."""
-    recovered, by_seed = row["recovered"], row["by_seed"][measure]
-    by_seed = dict(zip(row["seeds"], by_seed, strict=True))
-    own = [by_seed[seed] for seed in recovered["seeds"] if seed in by_seed]
+    recovered = row["recovered"]
+    by_seed = dict(zip(row["seeds"], row["by_seed"][measure], strict=True))
+    own = [by_seed[seed] for seed in recovered["seeds"]]
     share, gap = recovered[measure]["value"], recovered[measure]["gap"]["value"]
     return [share + (sum(own) / len(own) - time) / gap for time in own]

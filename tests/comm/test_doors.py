@@ -20,7 +20,6 @@ from tests.comm.doors import doors_for, share_right
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread", "unchecked")]
 
 FRAMES = 6_144
-SILENT_FRAMES = 3_840  # more than most schemes of the same pace take to learn to talk
 EVALUATIONS = 16  # in a training, which ends where one finds that it has learnt
 ENOUGH = 0.97
 WORLDS = 128  # on policy: many worlds and few updates, whose cost is in their number
@@ -66,12 +65,10 @@ def test_a_policy_that_draws_hears_late_messages(tmp_path):
     assert share_right(agent, hold=2) > 0.95
 
 
-def right_after_training(
-    folder: Path, comm: str, hold: int, frames: int = FRAMES, **changes
-) -> float:
+def right_after_training(folder: Path, comm: str, hold: int, **changes) -> float:
     pace = CAREFUL if comm in ("dial", "expocomm") else QUICK
     agent = make_agent(comm, **of_off_policy(pace), **changes)
-    train_off_policy(agent, folder, hold, pace, frames)
+    train_off_policy(agent, folder, hold, pace)
     return share_right(agent, hold)
 
 
@@ -115,14 +112,10 @@ def run(trainer: Trainer, agent: Agent, folder: Path, env: TransformedEnv, hold:
 
 
 def train_off_policy(
-    agent: Agent,
-    folder: Path,
-    hold: int,
-    pace: tuple[int, int, int, float],
-    frames: int = FRAMES,
+    agent: Agent, folder: Path, hold: int, pace: tuple[int, int, int, float]
 ) -> None:
     worlds, steps, batch_frames, _ = pace
-    frames = frames if pace is QUICK else 8_192
+    frames = FRAMES if pace is QUICK else 8_192
     trainer = OffPolicy(
         total_frames=frames,
         frames_per_batch=worlds * steps,
@@ -149,14 +142,14 @@ def test_who_talks_opens_the_right_door(tmp_path, comm):
 @pytest.mark.parametrize("comm", SILENT)
 def test_who_is_silent_guesses(tmp_path, comm):
     """Even at a door that waits, where whatever crosses within a step or a step late would help."""
-    assert 0.4 <= right_after_training(tmp_path, comm, hold=2, frames=SILENT_FRAMES) <= 0.6
+    assert 0.4 <= right_after_training(tmp_path, comm, hold=2) <= 0.6
 
 
 def test_a_message_that_comes_a_step_late_helps_only_if_the_door_waits(tmp_path):
     late = {"steps": 1, "random": False, "message_dims": make("commnet", hidden=24).message_dims}
-    for hold, frames, right in ((1, SILENT_FRAMES, False), (2, FRAMES, True)):
+    for hold, right in ((1, False), (2, True)):
         folder = tmp_path / str(hold)
         folder.mkdir()
         channels = {"delayed": Delayed(**late)}
-        share = right_after_training(folder, "commnet", hold, frames, channels=channels)
+        share = right_after_training(folder, "commnet", hold, channels=channels)
         assert (share > 0.95) is right

@@ -91,10 +91,10 @@ def settings_of(preset: str, request: pytest.FixtureRequest) -> list[str]:
 
 
 def is_measured_its_own_way(preset: str) -> bool:
-    """Whether the measurement after training is not, but for the worlds, that of the default."""
+    """Whether the measurement after training is not that of the default, in its own rules."""
     config = composed(preset)
-    evaluated_alike = config.evaluation == DEFAULTS.evaluation
-    return not evaluated_alike or config.checkpoint is not None or not has_houses(config)
+    alike = config.evaluation == DEFAULTS.evaluation and config.env == DEFAULTS.env
+    return not alike or config.checkpoint is not None or not has_houses(config)
 
 
 def only_load(config: DictConfig, folder: Path) -> list[Entry]:

@@ -58,8 +58,9 @@ def train(folder, overrides, die_after: int | None = None) -> None:
             *("env.collision_pays=-1", "env.paid_by=team_map", "env.robots_shown=false"),
             "env.knowledge=[memorised,unknown]",
         ],
+        ["trainer.total_frames=384", "comm=lend", "env.memory=private", "env.robots_noted=true"],
     ],
-    ids=["shared", "merged", "shaped"],
+    ids=["shared", "merged", "shaped", "lent"],
 )
 def test_a_killed_run_ends_as_the_uninterrupted_one(tmp_path, overrides):
     train(tmp_path / "whole", overrides)

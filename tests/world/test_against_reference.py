@@ -16,7 +16,7 @@ from tests.reference import Settings, World
 from tests.world.play import env_of, start
 from tests.world.strategies import MOST_AGENTS, Case, cases, settings
 
-EXAMPLES = 50
+EXAMPLES = 100
 
 
 def assert_same_observation(tensordict, index: int, world: World, side: int) -> None:
@@ -105,7 +105,7 @@ def test_every_step_of_random_play_is_the_reference(case: Case, whole_map: bool)
 
 @pytest.mark.slow
 @given(data=st.data())
-@hypothesis_settings(max_examples=20, deadline=None)
+@hypothesis_settings(max_examples=30, deadline=None)
 def test_several_worlds_together_equal_each_alone(data: st.DataObject) -> None:
     """One env plays several houses of different sizes; each is as the reference alone."""
     first = data.draw(cases(max_agents=3))
@@ -134,14 +134,14 @@ lending = st.builds(replace, settings(), lends=st.just(True), **private)
 
 @pytest.mark.slow
 @given(case=cases(settings=exchanging), whole_map=st.booleans())
-@hypothesis_settings(max_examples=20, deadline=None)
+@hypothesis_settings(max_examples=40, deadline=None)
 def test_maps_exchanged_a_few_cells_a_step_are_the_references(case: Case, whole_map: bool) -> None:
     assert_same_play([case], whole_map)
 
 
 @pytest.mark.slow
 @given(case=cases(settings=lending), whole_map=st.booleans())
-@hypothesis_settings(max_examples=20, deadline=None)
+@hypothesis_settings(max_examples=40, deadline=None)
 def test_maps_that_are_lent_are_the_references(case: Case, whole_map: bool) -> None:
     assert_same_play([case], whole_map)
 
