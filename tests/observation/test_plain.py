@@ -81,7 +81,9 @@ def test_houses_of_several_sizes_are_seen_as_each_alone(
     knowledge = first.settings.knowledge
     if memory is Memory.SHARED and not isinstance(knowledge, str):
         knowledge = knowledge[0]  # one map cannot be known by some robots only
-    first = replace(first, settings=replace(first.settings, memory=memory, knowledge=knowledge))
+    noted = first.settings.robots_noted and memory is Memory.PRIVATE
+    changed = replace(first.settings, memory=memory, knowledge=knowledge, robots_noted=noted)
+    first = replace(first, settings=changed)
     n_agents = len(first.starts)
     same = cases(st.just(first.settings), n_agents).filter(lambda c: len(c.starts) == n_agents)
     drawn = [first, *data.draw(st.lists(same, min_size=1, max_size=2))]
