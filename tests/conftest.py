@@ -1,5 +1,6 @@
 """Every test runs with the shapes and types in the annotations checked at run time."""
 
+import gc
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -9,10 +10,18 @@ from jaxtyping import config
 
 from tests import checks
 
+gc.disable()  # all that is imported stays: to look for garbage in it takes a quarter of the imports
 checks.install()
 
 import pytest  # noqa: E402  (nothing may import the package before the hook)
 import torch  # noqa: E402
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop() -> None:
+    """Look for garbage in what tests make alone, not in the modules and tests, again and again."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_runtest_setup() -> None:
