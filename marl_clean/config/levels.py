@@ -1,5 +1,7 @@
 """The rooms and their levels, as the folders and files of the packages' `conf/` name them."""
 
+import copy
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -54,9 +56,17 @@ def level_file(group: str, level: str) -> Path:
 
 def read_level(room: str, level: str) -> dict[str, Any]:
     """The keys of a level's yaml, those it shares with other levels of its room included."""
-    values = load_yaml(level_file(room, level))
+    path = level_file(room, level)
+    state = path.stat()
+    values = copy.deepcopy(_read(path, state.st_mtime_ns, state.st_size))
     shared = [read_level(room, name) for name in values.pop("defaults", []) if name != "_self_"]
     return {key: value for section in [*shared, values] for key, value in section.items()}
+
+
+@lru_cache(maxsize=1024)
+def _read(path: Path, *state_of_file: int) -> dict[str, Any]:
+    """Kept until the file changes: to check a config reads dozens of levels for their classes."""
+    return load_yaml(path)
 
 
 def is_target(room: str, target: str) -> bool:
