@@ -34,12 +34,20 @@ def built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.slow
-def test_the_wheel_carries_its_own_configs(built: Path) -> None:
-    wheel = built / build_wheel(str(built))
-    site = built / "some site"
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which the wheel is installed."""
+    folder = tmp_path_factory.mktemp("wheel")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(ROOT)
+        wheel = folder / build_wheel(str(folder))
     with zipfile.ZipFile(wheel) as archive:
-        archive.extractall(site)
+        archive.extractall(folder / "some site")
+    return folder / "some site"
+
+
+@pytest.mark.slow
+def test_the_wheel_carries_its_own_configs(site: Path) -> None:
     ours = {path.relative_to(ROOT) for path in (ROOT / "conf").rglob("*.yaml")}
     assert {path.relative_to(site / "marl_clean") for path in site.rglob("conf/**/*.yaml")} == ours
     data = {path.relative_to(ROOT) for path in (ROOT / "marl_clean/house/plans").iterdir()}
@@ -48,12 +56,8 @@ def test_the_wheel_carries_its_own_configs(built: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_wheel_carries_the_trained_runs(built: Path) -> None:
+def test_the_wheel_carries_the_trained_runs(site: Path, tmp_path: Path) -> None:
     """Nothing beside it: `marl-clean evaluate checkpoint=NAME` works from any folder."""
-    wheel = built / build_wheel(str(built))
-    site = built / "some site"
-    with zipfile.ZipFile(wheel) as archive:
-        archive.extractall(site)
     ours = {path.relative_to(ROOT) for path in (ROOT / "weights").rglob("*") if path.is_file()}
     held = {
         path.relative_to(site / "marl_clean")
@@ -70,16 +74,18 @@ def test_the_wheel_carries_the_trained_runs(built: Path) -> None:
     program = f"import sys; sys.path.insert(0, {str(site)!r}); import marl_clean.cli as c; "
     program += f"assert c.__file__.startswith({str(site)!r}); sys.exit(c.main({arguments!r}))"
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    # Machine code of searches, which is kept beside each copy of the package, takes 10 seconds.
+    environment["NUMBA_DISABLE_JIT"] = "1"
     result = subprocess.run(
         [sys.executable, "-c", program],
         capture_output=True,
         text=True,
-        cwd=built,
+        cwd=tmp_path,
         env=environment,
         check=False,
     )
     assert result.returncode == 0, result.stderr
-    assert (built / "runs" / "evaluate").is_dir()
+    assert (tmp_path / "runs" / "evaluate").is_dir()
     assert "approach_2_frontier" in result.stdout
 
 
