@@ -20,7 +20,7 @@ from marl_clean.encoder.base import Encoder
 from marl_clean.env.action_mask import KnownWalls
 from marl_clean.env.channel_seed import ChannelSeed
 from marl_clean.env.cleaning import CleaningEnv
-from marl_clean.env.for_schemes import asked_of_env, reach_cells
+from marl_clean.env.for_schemes import asked_of_env, exchange_of, reach_cells
 from marl_clean.env.global_state import GlobalState
 from marl_clean.env.shaping import Potential, Shaping
 from marl_clean.env.transformed import TransformedWorlds
@@ -32,8 +32,6 @@ from marl_clean.planner.base import Planner
 from marl_clean.settings import HouseOrder
 from marl_clean.storage.checkpoint import fit_weights, load_weights
 from marl_clean.storage.manifest import weights_sha256
-from marl_clean.world.exchange import Exchange
-from marl_clean.world.lending import Lending
 
 ACTING_KEYS = ("mask_walls", "play")
 """Settings of learners that change how actions are chosen, not the network."""
@@ -78,16 +76,17 @@ def make_env(
         return make_task(cfg, num_envs, first_env)
     topology = instantiate(cfg.topology)
     observation = instantiate(cfg.observation)
+    exchanges = constant(cfg.comm._target_, "exchanges")
     changes: dict = {"stuck_after": None} if never_stuck else {}
     if num_envs is not None:
         changes["num_envs"] = num_envs
     env = instantiate(
         cfg.env,
         houses=training_houses(cfg) if houses is None else houses,
-        margin=max(1, observation.reach_cells, reach_cells(cfg.comm)),
+        margin=max(1, observation.reach_cells, reach_cells(cfg.comm, exchanges)),
         house_order=house_order,
         contact=topology.contact,
-        exchange=exchange_of(cfg.comm),
+        exchange=exchange_of(cfg.comm, exchanges),
         first_env=first_env,
         seed=cfg.seed,
         device=torch.device(cfg.device),
@@ -104,12 +103,6 @@ def make_env(
         further.append(Potential())
     transforms = (topology, observation, *further, *draws(cfg, seeded), *payment(cfg, weight))
     return TransformedWorlds(env, Compose(*transforms))
-
-
-def exchange_of(section: DictConfig) -> Exchange | Lending | None:
-    """Return what the robots of a scheme tell each other of their maps; None: nothing."""
-    told = constant(section["_target_"], "exchanges")
-    return Lending() if told == "maps" else Exchange(section.cells) if told == "cells" else None
 
 
 def make_task(cfg: DictConfig, num_envs: int | None = None, first_env: int = 0) -> TransformedEnv:

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-OF_PRIVATE_MAPS = ("delta", "lend")
+OF_PRIVATE_MAPS = ("autoencoder", "delta", "lend", "patch")
 
 
 def world_for(scheme: str) -> list[str]:

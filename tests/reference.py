@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import partial
@@ -30,6 +30,7 @@ from marl_clean.settings import (
 Place = tuple[int, int]
 Grid = list[list[bool]]
 Pieces = list[list[int]]
+Told = tuple[list[list[int]], list[list[bool]]]  # by sender 49 classes; [hearer][sender]: heard
 
 UP, RIGHT, DOWN, LEFT = range(4)
 DIRECTIONS = ((-1, 0), (0, 1), (1, 0), (0, -1))
@@ -88,6 +89,7 @@ class Settings:
     reward: Literal["individual", "neighbours", "team"] = "individual"
     exchange_cells: int | None = None  # of private maps, that a robot tells another in a step
     lends: bool = False  # robots in contact see by the union of their private maps
+    patches: Literal["whole", "coded"] | None = None  # robots in contact hear what lies around
 
     @property
     def decay_per_step(self) -> Fraction:
@@ -252,7 +254,8 @@ class World:
     layout that a stale map believes in, the true one otherwise. Robots do not notice a bump at
     the (step, robot) of `missed`, steps counted from 0: it writes nothing and pays nothing.
     `spills` has, for each step at which something is spilt, a number in [0, 2^32) that decides
-    which clean cell is hit.
+    which clean cell is hit. `told` returns, for a step counted from 0, what a policy makes of the
+    robots' messages under `patches=coded`.
     """
 
     def __init__(
@@ -265,6 +268,7 @@ class World:
         memorised: Grid | None = None,
         missed: Iterable[tuple[int, int]] = (),
         spills: Mapping[int, int] | None = None,
+        told: Callable[[int], Told] | None = None,
     ) -> None:
         self.settings = settings
         self.rows, self.cols = len(free), len(free[0])
@@ -273,6 +277,7 @@ class World:
         self.moves = list(moves)
         self.missed = set(missed)
         self.spills = dict(spills or {})
+        self.told = told
         self.spilt: set[Place] = set()  # and not cleaned since
         self.spill_delays: list[int] = []  # of the cells cleaned again, or covered by furniture
         self.spilt_at: dict[Place, int] = {}  # when each cell of `spilt` was
@@ -291,12 +296,14 @@ class World:
         self.changed: list[dict[Place, int]] = [{} for _ in self.maps]
         self.heard_from: list[dict[Place, int]] = [{} for _ in self.maps]
         self.told_until: dict[tuple[int, int], tuple[int, Place]] = {}
+        self.heard: list[Map] = [{} for _ in self.maps]  # the last that each heard of a cell
         self.exchanged_bits = [0] * self.n_agents
         self._clean()
         self._touch()
         self._merge()
         self._exchange()
         self._lend()
+        self._see_by_heard()
         self._note_robots()
 
     # ---- what is there
@@ -438,7 +445,8 @@ class World:
         collided = [not (m or b) for m, b in zip(moved, bumped, strict=True)]
         robots = range(self.n_agents)
         before = [self.potential(robot) for robot in robots]
-        if self.settings.lends:
+        self._hear()
+        if self.settings.lends or self.settings.patches:
             self.maps = self.own_maps
         noticed = [bumped[i] and (self.steps, i) not in self.missed for i in robots]
         terms = [self._reward_terms(i, target[i], moved[i], noticed[i]) for i in robots]
@@ -465,6 +473,7 @@ class World:
         self._merge()
         self._exchange()
         self._lend()
+        self._see_by_heard()
         self._note_robots()
 
         terminated = self.cleaned == free_places(self.free)
@@ -643,7 +652,8 @@ class World:
             for other, live in enumerate(line):
                 if live:
                     seen = Record(blocked=False, written=self.steps, cleaned=self.steps)
-                    for maps in (self.maps, self.own_maps) if self.settings.lends else (self.maps,):
+                    kept = self.settings.lends or self.settings.patches
+                    for maps in (self.maps, self.own_maps) if kept else (self.maps,):
                         maps[robot][self.positions[other]] = seen
 
     def _merge(self) -> None:
@@ -716,6 +726,55 @@ class World:
                 if live:
                     self.maps[hearer] = union(self.maps[hearer], self.own_maps[sender])
                     self.exchanged_bits[sender] += (self.rows + 2) * (self.cols + 2) * a_cell
+
+    def _hear(self) -> None:
+        """Robots hear what lies around others: of several the cleaned, then the free counts."""
+        if self.settings.patches is None:
+            return
+        robots = range(self.n_agents)
+        if self.told is not None:
+            patches, edges = self.told(self.steps)
+        else:
+            patches = [[self._kind(robot, p) for p in self._around(robot)] for robot in robots]
+            edges = self.contacts()
+            self.exchanged_bits = [sum(line[i] for line in edges) * 2 * 49 for i in robots]
+        around = [self._around(robot) for robot in robots]
+        for hearer in robots:
+            kinds: dict[Place, int] = {}
+            for sender in robots:
+                for place, kind in zip(around[sender], patches[sender], strict=True):
+                    if edges[hearer][sender] and self.in_matrix(place):
+                        kinds[place] = max(kind, kinds.get(place, 0))
+            for place, kind in kinds.items():
+                if kind > 0:
+                    cleaned = self.steps if kind == 3 else None
+                    self.heard[hearer][place] = Record(kind == 1, self.steps, cleaned)
+
+    def _around(self, robot: int) -> list[Place]:
+        """The 7 x 7 places around a robot, row by row."""
+        row, col = self.positions[robot]
+        return [(row + down, col + right) for down, right in product(range(-3, 4), repeat=2)]
+
+    def _kind(self, robot: int, place: Place) -> int:
+        """0 unknown, 1 blocked, 2 not cleaned, 3 cleaned, by what the robot itself has written."""
+        record = self.own_maps[robot].get(place)
+        if record is None:
+            return 0
+        return 1 if record.blocked else 2 if record.cleaned is None else 3
+
+    def _see_by_heard(self) -> None:
+        """What a robot heard is seen where its own map is blank, or says that nobody cleaned."""
+        if self.settings.patches is None:
+            return
+        self.own_maps = self.maps
+        self.maps = [dict(own) for own in self.own_maps]
+        for robot, heard in enumerate(self.heard):
+            for place, record in heard.items():
+                own = self.own_maps[robot].get(place)
+                uncleaned = own is not None and not own.blocked and own.cleaned is None
+                later = own is not None and record.written >= own.written
+                if own is None or (uncleaned and later and record.cleaned is not None):
+                    self.maps[robot][place] = record
 
     def _content(self, record: Record) -> Any:
         """What a map says of a cell; without decay the step of a cleaning is no part of it."""

@@ -71,6 +71,18 @@ class Scene(NamedTuple):
     read: Tensor | None
 
 
+class Told(NamedTuple):
+    """What was heard in a step's last round, of schemes whose receivers decode it.
+
+    Attributes:
+        heard: `[*B, n, numbers]`, the message of each sender as it arrived.
+        live: `[*B, n, n]` bool, [i, j]: i heard j.
+    """
+
+    heard: Tensor
+    live: Tensor
+
+
 class Talk(NamedTuple):
     """The result of one step of communication.
 
@@ -85,6 +97,7 @@ class Talk(NamedTuple):
             carry nothing.
         represented: `[*B, n, represents]`, what each makes of all that it heard; None of schemes
             that do not teach it by itself.
+        told: what was heard, of schemes that `decodes`; None of others.
     """
 
     feature: Tensor
@@ -94,3 +107,4 @@ class Talk(NamedTuple):
     attention: Tensor | None = None
     hidden: Tensor | None = None
     represented: Tensor | None = None
+    told: Told | None = None

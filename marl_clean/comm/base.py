@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import torch
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Int8, Shaped
 from torch import Tensor, nn
 
 from marl_clean.comm._join import Join
+from marl_clean.comm._layers import dense, outgoing
 from marl_clean.comm._receiving import attend, masked_softmax, nearest_live, sum_live
 from marl_clean.comm._senders import PLACE, Senders, place_of, with_places
-from marl_clean.comm._talk import Delivery, Direct, Scene, Talk
+from marl_clean.comm._talk import Delivery, Direct, Scene, Talk, Told
 from marl_clean.settings import Ground
 
 __all__ = [
@@ -108,6 +109,7 @@ class Comm(nn.Module, ABC):
         observed: numbers in an observation, of schemes that send or reconstruct it.
         reads, reads_numbers: an entry of the agents, of so many numbers a robot, which `look` finds
             in the scene; None of schemes that take features alone.
+        engineered: nothing of its messages is learnt: they are parts of maps, or the env's entries.
         out_features: length of the features it gives.
         ground: as in `Hearing`.
         joined: how features and what is heard become these, other than by the scheme itself.
@@ -126,6 +128,7 @@ class Comm(nn.Module, ABC):
     reconstruct: float = 0.0
     predict: float = 0.0
     observed: int = 0
+    engineered: ClassVar[bool] = False
     reads: ClassVar[str | None] = None
     reads_numbers: ClassVar[int] = 0
 
@@ -160,6 +163,11 @@ class Comm(nn.Module, ABC):
     def chooses(self) -> bool:
         """Whether a robot chooses to which of those that it may talk to it sends."""
         return type(self).choose is not Comm.choose
+
+    @property
+    def decodes(self) -> bool:
+        """Whether receivers read in messages what lies around their senders, see `patch_of`."""
+        return type(self).patch_of is not Comm.patch_of
 
     @property
     def hops(self) -> int:
@@ -216,6 +224,19 @@ class Comm(nn.Module, ABC):
         """Return what each robot makes of all that it heard, of schemes that teach it by itself."""
         return None
 
+    def patch_of(
+        self, heard: Float[Tensor, "*batch agent message"]
+    ) -> Int8[Tensor, "*batch agent cell"]:
+        """Return what receivers read in the last round's messages, of schemes that `decodes`.
+
+        A class for each of the cells around each sender, see `marl_clean.world.patches`.
+        """
+        raise NotImplementedError
+
+    def code_loss(self, read: Shaped[Tensor, "*batch agent number"]) -> Float[Tensor, ""]:
+        """Return the loss that `patch_of` is learnt from, of the frames' entry `reads`."""
+        raise NotImplementedError
+
     def attention(self, state: Any) -> Float[Tensor, "*batch head agent other"] | None:
         """Return how much each robot attended to each in the last round, where it does."""
         return None
@@ -267,7 +288,8 @@ class Comm(nn.Module, ABC):
         if self.joined is not None:
             given = self.joined(feature, given, hears)
         further = (self.attention(state), self.carry(state), self.representation(state))
-        return Talk(given, message, reached, bits, *further)
+        told = Told(heard, live) if self.decodes else None
+        return Talk(given, message, reached, bits, *further, told)
 
     def _audible(self, senders: Senders, live: Tensor, heard: Tensor) -> Senders:
         """Return where those are who are heard now, where the scheme asks for it."""
@@ -279,17 +301,3 @@ class Comm(nn.Module, ABC):
         return senders._replace(
             offset=torch.where(live.unsqueeze(-1), senders.offset, 0).to(heard.dtype)
         )
-
-
-def outgoing(feature: Tensor, detach: bool) -> Tensor:
-    """Return the features that messages are made of.
-
-    Detached, a receiver's loss does not reach the sender's features; the weights that make the
-    message of them, which all robots share, still learn.
-    """
-    return feature.detach() if detach else feature
-
-
-def dense(before: int, after: int) -> nn.Sequential:
-    """Return a fully connected layer and its ReLU."""
-    return nn.Sequential(nn.Linear(before, after), nn.ReLU())

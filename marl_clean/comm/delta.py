@@ -25,8 +25,9 @@ class Delta(Quiet):
         cells: how many cells a robot tells another in a step at most, the oldest change first.
     """
 
-    exchanges: ClassVar[Literal["cells", "maps"]] = "cells"
+    exchanges: ClassVar[Literal["cells", "maps", "patches", "codes"]] = "cells"
     fits: ClassVar[dict[str, list[str]]] = {"env": ["cleaning"], "channel": ["perfect"]}
+    engineered: ClassVar[bool] = True
 
     def __init__(self, in_features: Width, cells: PositiveInt) -> None:
         super().__init__(in_features)

@@ -22,5 +22,6 @@ class Lend(Quiet):
         in_features: length of the encoder's features.
     """
 
-    exchanges: ClassVar[Literal["cells", "maps"]] = "maps"
+    exchanges: ClassVar[Literal["cells", "maps", "patches", "codes"]] = "maps"
     fits: ClassVar[dict[str, list[str]]] = {"env": ["cleaning"], "channel": ["perfect"]}
+    engineered: ClassVar[bool] = True

@@ -41,6 +41,7 @@ class Target(Joining):
     reads: ClassVar[str] = "target"
     reads_numbers: ClassVar[int] = 3
     fits: ClassVar[dict[str, list[str]]] = {"env": ["cleaning"]}
+    engineered: ClassVar[bool] = True
     bits_per_number = 8
 
     def __init__(

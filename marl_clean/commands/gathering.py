@@ -181,12 +181,8 @@ def engineered_of(world: World, rows: Sequence[Row]) -> list[str]:
     return [
         row.label
         for row, setting in zip(rows, world.settings.values(), strict=True)
-        if setting.config is not None and _is_engineered(setting.config["comm"]["_target_"])
+        if setting.config is not None and constant(setting.config["comm"]["_target_"], "engineered")
     ]
-
-
-def _is_engineered(target: str) -> bool:
-    return constant(target, "exchanges") is not None or constant(target, "reads") is not None
 
 
 def planners_of(world: World) -> list[Row]:

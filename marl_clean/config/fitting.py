@@ -74,7 +74,7 @@ def _check_ground(config: DictConfig, targets: dict[str, str]) -> None:
     if not weights:
         return
     key = f"comm.ground.{weights[0]}={ground[weights[0]]}"
-    if constant(targets["comm"], "reads") is not None:
+    if constant(targets["comm"], "engineered"):
         comm = f"comm={level_of(targets['comm'])}"
         raise BadInput(f"{key}: nothing of the messages of {comm} is learnt; valid: 0")
     if not takes(targets["env"], "houses"):

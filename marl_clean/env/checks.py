@@ -7,17 +7,15 @@ from torch import Tensor
 from marl_clean.errors import BadInput
 from marl_clean.settings import Knowledge, Memory
 from marl_clean.world.dynamics import MOVES
-from marl_clean.world.exchange import Exchange
-from marl_clean.world.lending import Lending
 from marl_clean.world.rules import Rules, knowledge_of_each
-from marl_clean.world.setup import Contact
+from marl_clean.world.setup import Contact, Telling
 
 
 def check_rules(
     rules: Rules,
     n_agents: int,
     contact: Contact | None,
-    exchange: Exchange | Lending | None,
+    exchange: Telling | None,
     furniture_moves_before_start: int,
 ) -> None:
     """Raises BadInput where the rules need what the other arguments do not give."""

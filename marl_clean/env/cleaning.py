@@ -13,10 +13,10 @@ from torch import Tensor
 from marl_clean import keys
 from marl_clean.env.checks import check_actions, check_rules
 from marl_clean.env.compiling import Compiling
-from marl_clean.env.frames import first_frame, next_frame
+from marl_clean.env.frames import first_frame, heard_in, next_frame
 from marl_clean.env.houses import house_tensors
 from marl_clean.env.scene import scene_of
-from marl_clean.env.specs import make_specs
+from marl_clean.env.specs import make_specs, told_specs
 from marl_clean.env.viewer import Scene, draw
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses
@@ -30,13 +30,12 @@ from marl_clean.settings import (
 from marl_clean.world import step
 from marl_clean.world.dynamics import MOVES, advance_
 from marl_clean.world.episode import begin
-from marl_clean.world.exchange import Exchange
 from marl_clean.world.furniture import move_furniture_
-from marl_clean.world.lending import Lending
 from marl_clean.world.noise import unnoticed_bumps
+from marl_clean.world.patches import Heard, Patches
 from marl_clean.world.random import Purpose, random_bits, seed_tensor, words_of_robots
 from marl_clean.world.rules import Rules
-from marl_clean.world.setup import Contact, FurnitureMoves, Setup
+from marl_clean.world.setup import Contact, FurnitureMoves, Setup, Telling
 from marl_clean.world.spills import spill_
 from marl_clean.world.state import State
 
@@ -124,7 +123,7 @@ class CleaningEnv(Compiling):
         compile: bool = False,
         house_order: HouseOrder = HouseOrder.RANDOM,
         contact: Contact | None = None,
-        exchange: Exchange | Lending | None = None,
+        exchange: Telling | None = None,
         first_env: int = 0,
         seed: int = 0,
         device: torch.device | str = "cpu",
@@ -136,8 +135,11 @@ class CleaningEnv(Compiling):
         self.houses = houses
         self._started = False
         self.moves = torch.tensor(MOVES, device=self.device)
-        specs = make_specs(num_envs, n_agents, max(houses.free.shape[1:]), rules)
+        largest = max(houses.free.shape[1:])
+        specs = make_specs(num_envs, n_agents, largest, rules)
         self.action_spec, self.observation_spec, self.reward_spec, self.done_spec = specs
+        if isinstance(exchange, Patches) and exchange.coded:
+            self.state_spec = told_specs(num_envs, n_agents, largest)
         self.to(self.device)
         self.setup = Setup(
             rules=rules,
@@ -181,7 +183,7 @@ class CleaningEnv(Compiling):
         else:
             rows = mask.view(self.num_envs).nonzero()[:, 0]
         self.begin_rows(rows)
-        return first_frame(self.state, self.rules)
+        return first_frame(self.state, self.rules, self.state_spec)
 
     def begin_rows(
         self, rows: Int[Tensor, " row"], reads: Sequence[step.Read] = ()
@@ -200,18 +202,25 @@ class CleaningEnv(Compiling):
         return fresh, entries
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        return self.step_worlds(tensordict.get(keys.ACTION))
+        return self.step_worlds(tensordict.get(keys.ACTION), heard=heard_in(tensordict))
 
     def step_worlds(
-        self, action: Int[Tensor, "env agent"], along: step.Along = step.NOTHING
+        self,
+        action: Int[Tensor, "env agent"],
+        along: step.Along = step.NOTHING,
+        heard: Heard | None = None,
     ) -> TensorDict:
         """Advance all worlds a step and return its frame, with what is computed `along`.
+
+        `heard`: what robots read in a policy's messages, where they tell of cells by a code.
 
         Raises:
             BadInput: an action outside 0 to 3. Not checked on a GPU, where it would synchronise.
         """
         check_actions(action)
         state, setup, rules = self.state, self.setup, self.setup.rules
+        if isinstance(setup.exchange, Patches):
+            self.compiled(step.tell_)(state, setup, heard)
         unnoticed = None
         if rules.bump_noise:
             draw = self.compiled(unnoticed_bumps)

@@ -1,15 +1,20 @@
-"""The transforms that a communication scheme's settings ask for."""
+"""What a communication scheme and its settings ask of the env: transforms, and an exchange."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from marl_clean.env.known_cells import REACH_CELLS, KnownCells
+from marl_clean.env.known_cells import KnownCells
 from marl_clean.env.offsets import Offsets
+from marl_clean.env.own_patch import OwnPatch
 from marl_clean.env.targets import Targets
 from marl_clean.env.transform import WorldTransform
 from marl_clean.errors import BadInput
+from marl_clean.world.exchange import Exchange
+from marl_clean.world.lending import Lending
+from marl_clean.world.patches import REACH_CELLS, Patches
+from marl_clean.world.setup import Telling
 
-READABLE: Mapping[str, Callable[[], WorldTransform]] = {"target": Targets}
+READABLE: Mapping[str, Callable[[], WorldTransform]] = {"target": Targets, "patch": OwnPatch}
 """What adds the entries that a scheme may name in `reads`."""
 
 
@@ -40,9 +45,24 @@ def asked_of_env(
     return transforms
 
 
-def reach_cells(comm: Mapping[str, Any]) -> int:
-    """Return how many cells around the house these transforms read."""
-    return REACH_CELLS if any(_grounds(comm)) else 0
+def reach_cells(comm: Mapping[str, Any], exchanges: str | None) -> int:
+    """Return how many cells around the house these transforms read, or what robots exchange."""
+    return REACH_CELLS if any(_grounds(comm)) or exchanges in ("patches", "codes") else 0
+
+
+def exchange_of(comm: Mapping[str, Any], exchanges: str | None) -> Telling | None:
+    """Return what the robots of a scheme tell each other of their maps; None: nothing.
+
+    `exchanges`: in which form, as its class says.
+    """
+    match exchanges:
+        case "cells":
+            return Exchange(comm["cells"])
+        case "maps":
+            return Lending()
+        case "patches" | "codes":
+            return Patches(coded=exchanges == "codes")
+    return None
 
 
 def _grounds(comm: Mapping[str, Any]) -> tuple[bool, bool]:

@@ -1,7 +1,7 @@
 """What robots know of the cells around them, as a transform: what messages can be grounded in."""
 
 import torch
-from jaxtyping import Float, Int8
+from jaxtyping import Float
 from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Bounded, TensorSpec
@@ -9,16 +9,12 @@ from torchrl.data import Bounded, TensorSpec
 from marl_clean import keys
 from marl_clean.env.cleaning import CleaningEnv
 from marl_clean.env.transform import WorldTransform
+from marl_clean.world.patches import CLEANED, REACH_CELLS, SIDE, UNKNOWN, classes
 from marl_clean.world.sensing import windows_around
 from marl_clean.world.setup import Setup
-from marl_clean.world.shared_map import is_known_blocked, is_known_free, is_known_uncleaned
 from marl_clean.world.state import State
 from marl_clean.world.step import Entries
 
-SIDE = 7  # cells, the robot in the middle
-REACH_CELLS = SIDE // 2
-UNKNOWN, BLOCKED, NEVER_CLEANED, CLEANED = range(4)
-NUM_CLASSES = 4
 NOT_ASKED = -1
 
 
@@ -57,13 +53,6 @@ class KnownCells(WorldTransform):
             )
             for key, whose in (*asked, *pairs)
         }
-
-
-def classes(record: Float[Tensor, "..."]) -> Int8[Tensor, "..."]:
-    """Return which of the four classes the map's records are of."""
-    free = torch.where(is_known_uncleaned(record), NEVER_CLEANED, CLEANED)
-    known = torch.where(is_known_free(record), free, UNKNOWN)
-    return torch.where(is_known_blocked(record), BLOCKED, known).to(torch.int8)
 
 
 def _all_windows(state: State, margin: int) -> Float[Tensor, "env agent other row col"]:

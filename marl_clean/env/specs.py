@@ -5,6 +5,7 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, TensorSpec, Un
 
 from marl_clean import keys
 from marl_clean.world.dynamics import MOVES
+from marl_clean.world.patches import CLEANED, SIDE, UNKNOWN
 from marl_clean.world.rules import Rules
 
 REWARD_TERMS = ("step", "cleaning", "discovery")
@@ -15,6 +16,20 @@ def terms_of(rules: Rules) -> tuple[str, ...]:
     collision = ("collision",) if rules.collision_pays else ()
     spill = ("spill",) if rules.spills.per_episode else ()
     return (*REWARD_TERMS, *collision, *spill)
+
+
+def told_specs(num_envs: int, n_agents: int, largest_side: int) -> Composite:
+    """Return the spec of what a policy hands over that robots read in messages: patches, edges."""
+    robots = torch.Size([num_envs, n_agents])
+    edges, places = torch.Size([*robots, n_agents]), torch.Size([*robots, 2])
+    told = {
+        keys.TOLD_PATCH[1]: Bounded(
+            UNKNOWN, CLEANED, torch.Size([*robots, SIDE**2]), dtype=torch.int8
+        ),
+        keys.TOLD_EDGES[1]: Binary(n_agents, edges, dtype=torch.bool),
+        keys.TOLD_PLACE[1]: Bounded(0, largest_side, places, dtype=torch.int64),
+    }
+    return Composite(agents=Composite(told, shape=robots), shape=robots[:1])
 
 
 def make_specs(

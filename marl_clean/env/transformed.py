@@ -14,6 +14,7 @@ from torchrl.envs import (
 
 from marl_clean import keys
 from marl_clean.env.channel_seed import ChannelSeed
+from marl_clean.env.frames import heard_in
 from marl_clean.env.shaping import Shaping
 from marl_clean.env.transform import RewardTransform, WorldTransform
 from marl_clean.world.step import Along, Entries
@@ -49,7 +50,7 @@ class TransformedWorlds(TransformedEnv):
             return super().step_and_maybe_reset(tensordict)
         adjacency = tensordict.get(keys.ADJACENCY, None)
         along = computed_along(transforms, adjacency)
-        after = worlds.step_worlds(tensordict.get(keys.ACTION), along)
+        after = worlds.step_worlds(tensordict.get(keys.ACTION), along, heard_in(tensordict))
         carried_over = tensordict.get("next", None)  # what a policy carries
         if carried_over is not None:
             after.update(carried_over.exclude(*after.keys(True, True)))

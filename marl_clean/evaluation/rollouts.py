@@ -11,7 +11,7 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from marl_clean.keys import ACTION, DONE, MESSAGE_BITS, MESSAGE_EDGES
-from marl_clean.learning.acting import begin_carrying
+from marl_clean.learning.acting import OF_TOLD, begin_carrying
 from marl_clean.planner.base import Planner
 
 Act = Callable[[nn.Module, TensorDictBase, Bool[Tensor, " env"]], TensorDictBase]
@@ -36,7 +36,7 @@ def act_in_running(
     if len(rows) == len(running):
         return policy(td)
     some = policy(td[rows])
-    for key in (ACTION, MESSAGE_EDGES, MESSAGE_BITS, *_carried(policy)):
+    for key in (ACTION, MESSAGE_EDGES, MESSAGE_BITS, *OF_TOLD, *_carried(policy)):
         value = some.get(key, None)  # not every policy sends messages
         if value is not None:
             whole = value.new_zeros((len(running), *value.shape[1:]))

@@ -24,6 +24,8 @@ from marl_clean.learning.schedules import Epsilon
 from marl_clean.world.random import Purpose, random_bits
 
 OF_MESSAGES = (keys.MESSAGE, keys.MESSAGE_EDGES, keys.MESSAGE_BITS)
+OF_TOLD = (keys.TOLD_PATCH, keys.TOLD_EDGES, keys.TOLD_PLACE)
+"""What policies write for an env whose robots read in messages what lies around the senders."""
 
 
 def entries(network: RobotsNetwork, frame: TensorDictBase) -> Entries:
@@ -84,6 +86,14 @@ def record_messages(frame: TensorDictBase, talk: Talk) -> None:
         frame.set(key, value)
 
 
+def record_told(frame: TensorDictBase, network: RobotsNetwork, talk: Talk) -> None:
+    """Write in place, for the env, what was read in messages, of schemes that decode them."""
+    if talk.told is not None:
+        frame.set(keys.TOLD_PATCH, network.comm.patch_of(talk.told.heard))
+        frame.set(keys.TOLD_EDGES, talk.told.live)
+        frame.set(keys.TOLD_PLACE, frame.get(keys.POSITION))
+
+
 def give_robots_endings(frames: TensorDictBase) -> None:
     """Write for each robot that it ended when its world did, `[*B, agent, 1]`."""
     shape = frames["next", keys.REWARD].shape
@@ -133,16 +143,18 @@ class Logits(TensorDictModuleBase):
         self.network, self.acting = network, acting
         self.in_keys = list(network.sees)
         carried = [("next", key) for key in network.carries] if acting else []
-        self.out_keys = [keys.LOGITS, *carried]
+        told = OF_TOLD if acting and network.comm.decodes else ()
+        self.out_keys = [keys.LOGITS, *told, *carried]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         seen = entries(self.network, tensordict)
         if not self.acting and self.network.unrolls:
             logits = self.network.unroll(tensordict.get(keys.IS_INIT), seen)
         else:
-            logits, _, carried = self.network(seen)
+            logits, talk, carried = self.network(seen)
             if self.acting:
                 record_carried(tensordict, carried)
+                record_told(tensordict, self.network, talk)
         return tensordict.set(keys.LOGITS, logits)
 
 
@@ -185,11 +197,13 @@ class Greedy(TensorDictModuleBase):
         self.out_keys = [keys.ACTION, keys.ACTION_VALUE, keys.CHOSEN_ACTION_VALUE]
         if records_messages:
             self.out_keys += OF_MESSAGES
+        self.out_keys += OF_TOLD if network.comm.decodes else ()
         self.out_keys += [("next", key) for key in network.carries]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         value, talk, carried = self.network(entries(self.network, tensordict))
         record_carried(tensordict, carried)
+        record_told(tensordict, self.network, talk)
         if self.records_messages:
             record_messages(tensordict, talk)
         if self.draws:

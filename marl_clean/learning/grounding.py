@@ -11,10 +11,11 @@ from torch.nn import functional
 
 from marl_clean import keys
 from marl_clean.comm.base import PLACE, Comm, Senders, Talk, with_places
-from marl_clean.env.known_cells import NOT_ASKED, NUM_CLASSES, SIDE
+from marl_clean.env.known_cells import NOT_ASKED
 from marl_clean.learning.acting import entries
 from marl_clean.learning.networks import RobotsNetwork
 from marl_clean.learning.representing import Reconstruction
+from marl_clean.world.patches import NUM_CLASSES, SIDE
 
 HIDDEN = 128
 GROUNDING = "grounding"  # as states of runs in progress name it
@@ -91,8 +92,13 @@ def ground_loss(
 ) -> tuple[Tensor | float, dict[str, Tensor]]:
     """Return the weighted sum of the losses, and each for the log; 0 and none without grounding.
 
-    In frames in a row messages are made as the network carries what it remembers.
+    In frames in a row messages are made as the network carries what it remembers. Of a scheme
+    whose receivers decode messages it is the loss of its code, whatever is sent.
     """
+    comm = network.comm
+    if comm.decodes:
+        loss = comm.code_loss(frames[keys.AGENTS, comm.reads])
+        return comm.reconstruct * loss, {"ground_code": loss.detach()}
     if grounding is None:
         return 0.0, {}
     begins = frames[keys.IS_INIT] if network.unrolls else None

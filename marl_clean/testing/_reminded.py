@@ -7,6 +7,7 @@ from torch import nn
 
 from marl_clean.comm.base import Comm
 from marl_clean.testing._graphs import FEATURES
+from marl_clean.world.patches import NUM_CLASSES
 
 FIRST = 3  # parameters that are always given: features, adjacency, senders
 
@@ -16,8 +17,8 @@ def reminded(comm: Comm) -> Comm:
 
         hidden_i = tanh(R h_i),  read_i = tanh(S h_i),  R and S drawn at random
 
-    of schemes that carry something from step to step, or read an entry of frames. So one step shows
-    all that a robot may send.
+    of schemes that carry something from step to step, or read an entry of frames; read_i is cut
+    into classes where those are of cells. So one step shows all that a robot may send.
     """
     generator = torch.Generator().manual_seed(0)
     widths = {"hidden": comm.remembers, "read": comm.reads_numbers}
@@ -31,7 +32,11 @@ def reminded(comm: Comm) -> Comm:
         module: nn.Module, given: tuple[Any, ...], named: dict[str, Any]
     ) -> tuple[tuple[Any, ...], dict[str, Any]]:
         if len(given) <= FIRST + 1:  # a delivery may come with these
-            named = {name: (given[0] @ each).tanh() for name, each in drawn.items()} | named
+            made = {name: (given[0] @ each).tanh() for name, each in drawn.items()}
+            if comm.decodes and "read" in made:
+                share = made["read"].nan_to_num() / 2 + 0.5
+                made["read"] = (share * NUM_CLASSES).clamp(0, NUM_CLASSES - 1).to(torch.int8)
+            named = made | named
         return given, named
 
     if drawn:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from marl_clean.comm.base import Comm, Talk
-from marl_clean.testing import _choosers, _hearers
+from marl_clean.testing import _choosers, _decoding, _hearers
 from marl_clean.testing._broken import (
     Clause,
     require,
@@ -245,12 +245,18 @@ def attention_is_paid_over_live_edges(make: Maker) -> None:
     _hearers.attention_is_paid_over_live_edges(make_scheme(make))
 
 
+def what_is_read_is_told_over_live_edges(make: Maker) -> None:
+    """What a scheme reads in messages is a class a cell, of live edges, and nothing of silence."""
+    _decoding.what_is_read_is_told_over_live_edges(make_scheme(make))
+
+
 def every_weight_learns(make: Maker) -> None:
     """Every weight gets a gradient."""
     comm = make_scheme(make).train()
     if not list(comm.parameters()):
         return
-    comm(*draw(4, n_agents=4)).feature.sum().backward()
+    talk = comm(*draw(4, n_agents=4))
+    (_decoding.code_loss(comm) if comm.decodes else talk.feature.sum()).backward()
     for name, weight in comm.named_parameters():
         require(weight.grad is not None, f"{name} gets no gradient")
 
@@ -286,5 +292,6 @@ CLAUSES: tuple[Clause, ...] = (
     what_a_robot_sends_depends_on_nobody_out_of_reach,
     robots_out_of_reach_change_nothing_unless_it_dilutes,
     attention_is_paid_over_live_edges,
+    what_is_read_is_told_over_live_edges,
     every_weight_learns,
 )

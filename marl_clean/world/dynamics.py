@@ -62,8 +62,8 @@ def advance_(
     A robot moves when its target is free, no robot stood there when the step began, and no
     lower-numbered robot enters it in this step. Of several robots with one free, empty target
     the lowest-numbered always gets it, so the last condition is: no lower number has this target.
-    A bump in `unnoticed` counts as one, but writes nothing and pays nothing. Maps that were lent
-    are given back first.
+    A bump in `unnoticed` counts as one, but writes nothing and pays nothing. What maps show beside
+    their own, lent or heard, is taken back first.
     """
     if state.own_record is not None:
         state.record = state.own_record

@@ -9,7 +9,8 @@ from marl_clean.world.distance import walking_distance
 from marl_clean.world.dynamics import touch_
 from marl_clean.world.exchange import Exchange, begin_exchange_
 from marl_clean.world.furniture import inside_house, shift_piece
-from marl_clean.world.lending import begin_lending_
+from marl_clean.world.lending import Lending, begin_lending_
+from marl_clean.world.patches import Patches, begin_patches_
 from marl_clean.world.random import Purpose, random_below, random_bits
 from marl_clean.world.rules import Rules, knowledge_of_each
 from marl_clean.world.searches import UNREACHABLE
@@ -72,8 +73,10 @@ def begin(setup: Setup, episode: Int[Tensor, " env"]) -> State:
     _clean_starts_(state, rules)
     if isinstance(setup.exchange, Exchange):
         begin_exchange_(state)
-    elif setup.exchange is not None:
+    elif isinstance(setup.exchange, Lending):
         begin_lending_(state)
+    elif isinstance(setup.exchange, Patches):
+        begin_patches_(state, setup.exchange)
     return state
 
 

@@ -9,12 +9,16 @@ from torch import Tensor
 from marl_clean.settings import HouseOrder
 from marl_clean.world.exchange import Exchange
 from marl_clean.world.lending import Lending
+from marl_clean.world.patches import Patches
 from marl_clean.world.random import Seed
 from marl_clean.world.rules import Rules
 from marl_clean.world.state import State
 
 Contact = Callable[[State, Rules], Bool[Tensor, "env agent agent"]]
 """Which robots are in contact: a topology's `contact`."""
+
+Telling = Exchange | Lending | Patches
+"""What robots in contact tell each other of their private maps."""
 
 
 class HouseTensors(NamedTuple):
@@ -49,7 +53,7 @@ class Setup(NamedTuple):
     num_open: int = 1  # new episodes draw their house among the first so many
     furniture: FurnitureMoves = FurnitureMoves()
     contact: Contact | None = None
-    exchange: Exchange | Lending | None = None  # of private maps between robots in contact
+    exchange: Telling | None = None  # of private maps between robots in contact
 
     def of_rows(self, rows: Int[Tensor, " row"]) -> "Setup":
         """Return the setup of the worlds `rows` alone."""

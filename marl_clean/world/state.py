@@ -51,8 +51,10 @@ class State:
     told_until: Int[Tensor, "env agent agent"] | None = None  # [i, j]: how far j has told i
     exchanged_bits: Int[Tensor, "env agent"] | None = None  # that each robot sent last
 
-    # None unless maps are lent: what each robot itself has written, while `record` shows more.
+    # None unless maps are lent or patches heard: what each robot itself has written, while `record`
+    # shows more; and the last that it has heard of each cell.
     own_record: Float[Tensor, "env map height width"] | None = None
+    heard_record: Float[Tensor, "env map height width"] | None = None
 
     @property
     def n_agents(self) -> int:
@@ -91,6 +93,7 @@ MATRICES = (
     "changed_at",
     "heard_from",
     "own_record",
+    "heard_record",
 )
 
 

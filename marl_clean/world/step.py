@@ -15,7 +15,8 @@ from marl_clean.settings import Memory, Sensor
 from marl_clean.world.dynamics import Outcome, advance_, episode_ends, note_robots_, touch_
 from marl_clean.world.episode import begin
 from marl_clean.world.exchange import Exchange, exchange_
-from marl_clean.world.lending import lend_
+from marl_clean.world.lending import Lending, lend_
+from marl_clean.world.patches import Heard, Patches, hear_, see_by_heard_, tell_whole_
 from marl_clean.world.setup import Setup
 from marl_clean.world.shared_map import merge_maps
 from marl_clean.world.state import State
@@ -64,6 +65,19 @@ def step_(
     return outcome, settle_(state, outcome, setup, along)
 
 
+def tell_(state: State, setup: Setup, heard: Heard | None) -> None:
+    """Let robots hear each other's patches, in place, before anyone moves.
+
+    `heard`: a policy's, where patches are coded; None tells nothing.
+    """
+    if not isinstance(setup.exchange, Patches):
+        return
+    if not setup.exchange.coded and setup.contact is not None:
+        tell_whole_(state, setup.contact(state, setup.rules), setup.rules.margin)
+    elif heard is not None:
+        hear_(state, heard, setup.rules.margin)
+
+
 def settle_(state: State, outcome: Outcome, setup: Setup, along: Along) -> Settled:
     """Do what follows once everything has moved: touch, meet, end, be paid, be observed."""
     if setup.rules.sensor is Sensor.TOUCH4:
@@ -102,14 +116,16 @@ def begin_rows_(
 
 
 def meet_(state: State, setup: Setup) -> None:
-    """Let robots in contact unite, exchange or lend maps and be noted, before anyone observes."""
+    """Let maps take in what robots in contact know, before anyone observes."""
     if setup.contact is None:
         return
     if setup.rules.memory is Memory.MERGED:
         state.record = merge_maps(state.record, setup.contact(state, setup.rules))
     if isinstance(setup.exchange, Exchange):
         exchange_(state, setup.contact(state, setup.rules), setup.exchange, setup.rules)
-    elif setup.exchange is not None:
+    elif isinstance(setup.exchange, Patches):
+        see_by_heard_(state)
+    elif isinstance(setup.exchange, Lending):
         lend_(state, setup.contact(state, setup.rules))
     if setup.rules.robots_noted:  # last: others are told of them with the next step
         note_robots_(state, setup.contact(state, setup.rules), setup.rules)

@@ -117,7 +117,8 @@ def entries(network: QNetwork) -> Entries:
     if network.comm.places:
         seen[keys.OFFSET] = torch.randint(-5, 6, (2, N_AGENTS, N_AGENTS, 2))
     if network.comm.reads is not None:
-        seen[keys.TARGET] = torch.randint(-9, 9, (2, N_AGENTS, 3))
+        read = torch.randint(4, (2, N_AGENTS, network.comm.reads_numbers))
+        seen[keys.AGENTS, network.comm.reads] = read
     if network.draws:
         seen[keys.CHANNEL_SEED] = torch.randint(2**32, (2, N_AGENTS))
     specs = network.state_specs(N_AGENTS)

@@ -26,8 +26,8 @@ WORLDS = 128  # on policy: many worlds and few updates, whose cost is in their n
 # Off policy: worlds, steps between learning, frames an update, learning rate.
 QUICK = (64, 4, 128, 5e-3)
 CAREFUL = (16, 6, 64, 2e-3)  # for those that miss the door with one seed in three otherwise
-SILENT = ["none", "zeroed", "delta", "lend"]
-FROM_MAPS = ["target"]  # there are none
+SILENT = ["none", "zeroed", "delta", "lend", "patch"]
+FROM_MAPS = ["autoencoder", "target"]  # there are none
 TALKING = [level for level, _ in LEVELS if level not in (*SILENT, *FROM_MAPS)]
 
 

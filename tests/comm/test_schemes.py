@@ -31,7 +31,7 @@ def test_everybody_within_the_rounds_is_heard(variant: tuple[str, dict]) -> None
     live, rank, hops = line(length)
     feature = draw(n_agents=length)[0]
     before = comm(feature, live, rank)[0]
-    if comm.gated or comm.chooses or variant[1].get("max_neighbours") == 1:
+    if comm.gated or comm.chooses or comm.decodes or variant[1].get("max_neighbours") == 1:
         return
     for sender in range(length):
         moved = feature.clone()

@@ -14,7 +14,7 @@ from marl_clean.errors import BadInput
 from tests.families import family, world_for
 
 SMALL = ["train_houses=4", "env.num_envs=2", "house.rows=[5,5]", "house.cols=[5,5]"]
-BUDGET = 150_000
+BUDGET = 200_000
 
 
 def learner(*settings: str):

@@ -59,8 +59,9 @@ def train(folder, overrides, die_after: int | None = None) -> None:
             "env.knowledge=[memorised,unknown]",
         ],
         ["trainer.total_frames=384", "comm=lend", "env.memory=private", "env.robots_noted=true"],
+        ["trainer.total_frames=384", "comm=autoencoder", "env.memory=private", "comm.sure=0.3"],
     ],
-    ids=["shared", "merged", "shaped", "lent"],
+    ids=["shared", "merged", "shaped", "lent", "read"],
 )
 def test_a_killed_run_ends_as_the_uninterrupted_one(tmp_path, overrides):
     train(tmp_path / "whole", overrides)

@@ -25,11 +25,13 @@ from marl_clean.topology.view import View
 from marl_clean.world.dynamics import touch_
 from marl_clean.world.exchange import Exchange
 from marl_clean.world.lending import Lending
+from marl_clean.world.patches import REACH_CELLS, Patches
 from marl_clean.world.rules import Rules
+from marl_clean.world.setup import Telling
 from marl_clean.world.shared_map import MEMORISED_BLOCKED, MEMORISED_FREE
 from marl_clean.world.step import meet_
 from tests.reference import Settings, World
-from tests.world.strategies import Case
+from tests.world.strategies import Case, told
 
 REWARDS = {"individual": Individual, "neighbours": Neighbours, "team": Team}
 
@@ -65,9 +67,11 @@ def houses_of(free, furniture, starts) -> Houses:
     )
 
 
-def exchange_of(settings: Settings) -> Exchange | Lending | None:
+def exchange_of(settings: Settings) -> Telling | None:
     if settings.lends:
         return Lending()
+    if settings.patches:
+        return Patches(coded=settings.patches == "coded")
     return None if settings.exchange_cells is None else Exchange(settings.exchange_cells)
 
 
@@ -104,7 +108,7 @@ def env_of(cases: list[Case], whole_map: bool = False) -> TransformedEnv:
             float(settings.spill_pays),
         ),
         bump_noise=settings.bump_noise,
-        margin=max(side // 2, settings.view_size // 2),
+        margin=max(side // 2, settings.view_size // 2, REACH_CELLS),
     )
     base = CleaningEnv(
         stack(cases),
@@ -184,6 +188,16 @@ def believe(base: CleaningEnv, cases: list[Case]) -> None:
     meet_(state, base.setup)
 
 
+def say(tensordict: TensorDictBase, cases: list[Case], step: int) -> None:
+    """Write into a frame, where patches are coded, what a policy made of messages."""
+    if cases[0].settings.patches == "coded":
+        each = [told(index, len(case.starts), step) for index, case in enumerate(cases)]
+        patches, edges = zip(*each, strict=True)
+        tensordict[keys.TOLD_PATCH] = torch.tensor(patches, dtype=torch.int8)
+        tensordict[keys.TOLD_EDGES] = torch.tensor(edges)
+        tensordict[keys.TOLD_PLACE] = tensordict[keys.POSITION]
+
+
 def follow(
     env: TransformedEnv, cases: list[Case], most_steps: int
 ) -> Iterator[tuple[TensorDictBase, list[tuple[int, World]]]]:
@@ -197,6 +211,7 @@ def follow(
         yield tensordict, list(worlds.items())
         actions = [case.actions[step] for case in cases]
         tensordict[keys.ACTION] = torch.tensor(actions)
+        say(tensordict, cases, step)
         tensordict = step_mdp(env.step(tensordict))
         outcomes = {index: world.step(actions[index]) for index, world in worlds.items()}
         for index, outcome in outcomes.items():

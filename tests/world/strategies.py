@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from itertools import product
 
 from hypothesis import strategies as st
@@ -20,6 +21,7 @@ from tests.reference import (
     Pieces,
     Place,
     Settings,
+    Told,
     World,
     free_places,
     shift_piece,
@@ -66,6 +68,9 @@ class Case:
             self.memorised,
             missed_bumps(self.settings.bump_noise, env_index, len(self.starts)),
             spills(self.settings.spills, env_index, self.free, len(self.starts)),
+            partial(told, env_index, len(self.starts))
+            if self.settings.patches == "coded"
+            else None,
         )
 
 
@@ -96,6 +101,14 @@ def spills(
             step = 1 + first + (word * (end - first) >> 32)
             drawn[step] = plain_bits(seed, env_index, episode, SPILL, 2 * spill + 1)
     return drawn
+
+
+def told(env_index: int, n_agents: int, step: int) -> Told:
+    """What a policy makes of messages in a step, at random: most cells unknown, some edges dead."""
+    robots = range(n_agents)
+    words = [[plain_bits(1, env_index, step, i, cell) >> 24 for cell in range(49)] for i in robots]
+    edges = [[plain_bits(2, env_index, step, i, j) % 3 > 0 for j in robots] for i in robots]
+    return [[max(0, word - 252) for word in line] for line in words], edges
 
 
 def plain_bits(seed: int, *words: int) -> int:

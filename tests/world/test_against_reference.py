@@ -13,7 +13,7 @@ from marl_clean import keys
 from marl_clean.settings import Knowledge, Memory, Sensor
 from marl_clean.world.sensing import crossed_cells
 from tests.reference import Settings, World
-from tests.world.play import env_of, start
+from tests.world.play import env_of, say, start
 from tests.world.strategies import MOST_AGENTS, Case, cases, settings
 
 EXAMPLES = 100
@@ -56,7 +56,8 @@ def assert_same_outcome(tensordict, env, index: int, world: World, outcome) -> N
         torch.testing.assert_close(tensordict[key][index, :, 0], expected, atol=1e-5, rtol=0)
     assert bool(tensordict[keys.TERMINATED][index]) == outcome.terminated
     assert bool(tensordict[keys.TRUNCATED][index]) == outcome.truncated
-    if world.settings.exchange_cells is not None or world.settings.lends:
+    readings = world.settings
+    if readings.exchange_cells is not None or readings.lends or readings.patches == "whole":
         assert state.exchanged_bits[index].tolist() == world.exchanged_bits
     assert (int(state.num_visited[index]), int(state.num_free[index])) == world.coverage()
     if world.settings.spills:
@@ -79,6 +80,7 @@ def assert_same_play(drawn: list[Case], whole_map: bool) -> None:
     for step in range(max(len(case.actions) for case in drawn)):
         actions = [case.actions[min(step, len(case.actions) - 1)] for case in drawn]
         tensordict[keys.ACTION] = torch.tensor(actions)
+        say(tensordict, drawn, step)
         after = env.step(tensordict)["next"]
         for index, world in enumerate(worlds):
             if not playing[index] or step >= len(drawn[index].actions):
@@ -130,6 +132,8 @@ private = {
 cells = st.sampled_from([1, 2, 3, 8, 200])
 exchanging = st.builds(replace, settings(), exchange_cells=cells, **private)
 lending = st.builds(replace, settings(), lends=st.just(True), **private)
+kinds = st.sampled_from(["whole", "coded"])
+hearing_patches = st.builds(replace, settings(), patches=kinds, **private)
 
 
 @pytest.mark.slow
@@ -143,6 +147,13 @@ def test_maps_exchanged_a_few_cells_a_step_are_the_references(case: Case, whole_
 @given(case=cases(settings=lending), whole_map=st.booleans())
 @hypothesis_settings(max_examples=40, deadline=None)
 def test_maps_that_are_lent_are_the_references(case: Case, whole_map: bool) -> None:
+    assert_same_play([case], whole_map)
+
+
+@pytest.mark.slow
+@given(case=cases(settings=hearing_patches), whole_map=st.booleans())
+@hypothesis_settings(max_examples=40, deadline=None)
+def test_patches_that_are_heard_are_the_references(case: Case, whole_map: bool) -> None:
     assert_same_play([case], whole_map)
 
 

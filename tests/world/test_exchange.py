@@ -93,7 +93,30 @@ def test_bits_of_a_lent_map_are_those_of_house_and_ring() -> None:
     assert env.base_env.state.exchanged_bits.tolist() == [[36 * (2 + 6)] * 2] * 8
 
 
+def test_a_patch_costs_two_bits_a_cell_and_is_kept() -> None:
+    """Two robots side by side hear each other's 7 x 7 cells with each step, and know them later."""
+    env = make_env([*PRIVATE, "comm=patch", "env.num_envs=16", "seed=3"])
+    draw, td, later = torch.Generator().manual_seed(1), env.reset(), 0
+    for _ in range(80):
+        contact = td[keys.ADJACENCY][:, 0, 1]
+        td[keys.ACTION] = torch.randint(4, (16, 2), generator=draw)
+        whole, td = env.step_and_maybe_reset(td)
+        state = env.base_env.state
+        bits = torch.where(contact, 98, 0)[:, None].expand(16, 2)
+        running = ~whole["next", keys.DONE][:, 0]
+        assert torch.equal(state.exchanged_bits[running], bits[running])
+        apart = ~td[keys.ADJACENCY][:, 0, 1] & running
+        heard = is_unknown(state.own_record) & ~is_unknown(state.record)
+        later += int((heard & apart[:, None, None, None]).sum())
+    assert later > 0
+
+
 def test_bad_input_is_one_line() -> None:
+    delayed = ["comm=autoencoder", "channel=delayed"]
+    with pytest.raises(BadInput, match=r"^channel=delayed: does not fit comm=autoencoder; valid: "):
+        compose_fit([*PRIVATE, *delayed])
+    with pytest.raises(BadInput, match=r"^env.memory=shared: comm=autoencoder .*; valid: private$"):
+        compose_fit(["comm=autoencoder"])
     with pytest.raises(BadInput, match=r"^env.memory=shared: comm=delta .*; valid: private$"):
         compose_fit(["comm=delta"])
     with pytest.raises(BadInput, match=r"^channel=lossy: does not fit comm=delta; valid: perfect$"):
