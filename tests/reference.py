@@ -89,7 +89,7 @@ class Settings:
     reward: Literal["individual", "neighbours", "team"] = "individual"
     exchange_cells: int | None = None  # of private maps, that a robot tells another in a step
     lends: bool = False  # robots in contact see by the union of their private maps
-    patches: Literal["whole", "coded"] | None = None  # robots in contact hear what lies around
+    patches: Literal["all", "cleaned", "blocked", "coded"] | None = None  # heard by contacts
 
     @property
     def decay_per_step(self) -> Fraction:
@@ -737,7 +737,10 @@ class World:
         else:
             patches = [[self._kind(robot, p) for p in self._around(robot)] for robot in robots]
             edges = self.contacts()
-            self.exchanged_bits = [sum(line[i] for line in edges) * 2 * 49 for i in robots]
+            told = {"all": (1, 2, 3), "cleaned": (3,), "blocked": (1,)}[self.settings.patches]
+            patches = [[kind if kind in told else 0 for kind in line] for line in patches]
+            bits = 98 if len(told) > 1 else 49
+            self.exchanged_bits = [sum(line[i] for line in edges) * bits for i in robots]
         around = [self._around(robot) for robot in robots]
         for hearer in robots:
             kinds: dict[Place, int] = {}

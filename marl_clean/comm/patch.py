@@ -3,6 +3,8 @@
 from typing import ClassVar, Literal, final
 
 from marl_clean.comm._quiet import Quiet
+from marl_clean.comm.base import Width
+from marl_clean.settings import Tells
 
 
 @final
@@ -12,7 +14,7 @@ class Patch(Quiet):
     A bound for `comm=autoencoder`, whose messages are such patches through a learnt code: what
     patches are worth that nothing is lost of. The env keeps them for the hearers, as
     `marl_clean.world.patches` says; the network sends nothing and returns the features unchanged.
-    A message has two bits a cell, 98.
+    A message has two bits a cell, 98; of the cells of one kind alone a bit, 49.
 
     Needs `env.memory=private`, and messages cross no channel.
 
@@ -20,8 +22,14 @@ class Patch(Quiet):
 
     Args:
         in_features: length of the encoder's features.
+        tells: of all cells, or of those alone that have been cleaned or are blocked: which of
+            them a message pays for.
     """
 
     exchanges: ClassVar[Literal["cells", "maps", "patches", "codes"]] = "patches"
     fits: ClassVar[dict[str, list[str]]] = {"env": ["cleaning"], "channel": ["perfect"]}
     engineered: ClassVar[bool] = True
+
+    def __init__(self, in_features: Width, tells: Tells) -> None:
+        super().__init__(in_features)
+        self.tells = tells

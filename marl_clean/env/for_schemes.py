@@ -60,8 +60,10 @@ def exchange_of(comm: Mapping[str, Any], exchanges: str | None) -> Telling | Non
             return Exchange(comm["cells"])
         case "maps":
             return Lending()
-        case "patches" | "codes":
-            return Patches(coded=exchanges == "codes")
+        case "patches":
+            return Patches(coded=False, tells=comm["tells"])
+        case "codes":
+            return Patches(coded=True)
     return None
 
 

@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Bool, Float, Int8
 from torch import Tensor
 
+from marl_clean.settings import Tells
 from marl_clean.world.sensing import windows_around
 from marl_clean.world.shared_map import (
     UNKNOWN_RECORD,
@@ -29,7 +30,6 @@ SIDE = 7  # cells, the robot in the middle
 REACH_CELLS = SIDE // 2
 UNKNOWN, BLOCKED, NEVER_CLEANED, CLEANED = range(4)
 NUM_CLASSES = 4
-BITS = SIDE**2 * 2  # of a patch as it is
 
 
 class Patches(NamedTuple):
@@ -38,9 +38,11 @@ class Patches(NamedTuple):
     Attributes:
         coded: they are what a policy makes of messages, and the env is given them with each step;
             else they are the senders' own.
+        tells: of which cells, where they are the senders' own.
     """
 
     coded: bool
+    tells: Tells = "all"
 
 
 class Heard(NamedTuple):
@@ -80,10 +82,19 @@ def own_patches(state: State, margin: int) -> Int8[Tensor, "env agent cell"]:
     return classes(windows_around(own, state.position, SIDE, margin)).flatten(2)
 
 
-def tell_whole_(state: State, contact: Bool[Tensor, "env agent agent"], margin: int) -> None:
-    """Let robots in contact hear each other's patches as they are, before they move."""
-    hear_(state, Heard(own_patches(state, margin), contact, state.position), margin)
-    state.exchanged_bits = BITS * contact.sum(1)  # over those who hear
+def tell_own_(
+    state: State, contact: Bool[Tensor, "env agent agent"], tells: Tells, margin: int
+) -> None:
+    """Let robots in contact hear each other's patches as they are, before they move.
+
+    A patch of all classes has two bits a cell, that of the cells of one class a bit.
+    """
+    patch, bits = own_patches(state, margin), 2
+    if tells != "all":
+        told = CLEANED if tells == "cleaned" else BLOCKED
+        patch, bits = torch.where(patch == told, patch, UNKNOWN).to(torch.int8), 1
+    hear_(state, Heard(patch, contact, state.position), margin)
+    state.exchanged_bits = SIDE**2 * bits * contact.sum(1)  # over those who hear
 
 
 def hear_(state: State, heard: Heard, margin: int) -> None:

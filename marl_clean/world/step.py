@@ -16,7 +16,7 @@ from marl_clean.world.dynamics import Outcome, advance_, episode_ends, note_robo
 from marl_clean.world.episode import begin
 from marl_clean.world.exchange import Exchange, exchange_
 from marl_clean.world.lending import Lending, lend_
-from marl_clean.world.patches import Heard, Patches, hear_, see_by_heard_, tell_whole_
+from marl_clean.world.patches import Heard, Patches, hear_, see_by_heard_, tell_own_
 from marl_clean.world.setup import Setup
 from marl_clean.world.shared_map import merge_maps
 from marl_clean.world.state import State
@@ -73,7 +73,8 @@ def tell_(state: State, setup: Setup, heard: Heard | None) -> None:
     if not isinstance(setup.exchange, Patches):
         return
     if not setup.exchange.coded and setup.contact is not None:
-        tell_whole_(state, setup.contact(state, setup.rules), setup.rules.margin)
+        contact = setup.contact(state, setup.rules)
+        tell_own_(state, contact, setup.exchange.tells, setup.rules.margin)
     elif heard is not None:
         hear_(state, heard, setup.rules.margin)
 

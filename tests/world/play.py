@@ -71,7 +71,8 @@ def exchange_of(settings: Settings) -> Telling | None:
     if settings.lends:
         return Lending()
     if settings.patches:
-        return Patches(coded=settings.patches == "coded")
+        coded = settings.patches == "coded"
+        return Patches(coded) if coded else Patches(coded, settings.patches)
     return None if settings.exchange_cells is None else Exchange(settings.exchange_cells)
 
 

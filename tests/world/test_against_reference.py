@@ -57,7 +57,8 @@ def assert_same_outcome(tensordict, env, index: int, world: World, outcome) -> N
     assert bool(tensordict[keys.TERMINATED][index]) == outcome.terminated
     assert bool(tensordict[keys.TRUNCATED][index]) == outcome.truncated
     readings = world.settings
-    if readings.exchange_cells is not None or readings.lends or readings.patches == "whole":
+    told = readings.patches not in (None, "coded")
+    if readings.exchange_cells is not None or readings.lends or told:
         assert state.exchanged_bits[index].tolist() == world.exchanged_bits
     assert (int(state.num_visited[index]), int(state.num_free[index])) == world.coverage()
     if world.settings.spills:
@@ -132,7 +133,7 @@ private = {
 cells = st.sampled_from([1, 2, 3, 8, 200])
 exchanging = st.builds(replace, settings(), exchange_cells=cells, **private)
 lending = st.builds(replace, settings(), lends=st.just(True), **private)
-kinds = st.sampled_from(["whole", "coded"])
+kinds = st.sampled_from(["all", "cleaned", "blocked", "coded", "coded"])
 hearing_patches = st.builds(replace, settings(), patches=kinds, **private)
 
 
