@@ -1,13 +1,14 @@
 """An autoencoder's message: a code of the cells around the sender, read into the hearer's map."""
 
-from typing import ClassVar, Literal, final
+from typing import ClassVar, final
 
 import torch
 from jaxtyping import Bool, Float, Int8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from marl_clean.comm.base import Comm, Scene, Senders, Width
+from marl_clean.comm._decoding import Decoding
+from marl_clean.comm.base import Scene, Senders, Width
 from marl_clean.settings import LayerWidth, PositiveFloat, PositiveShare
 from marl_clean.world.patches import NUM_CLASSES, SIDE, UNKNOWN
 
@@ -15,7 +16,7 @@ CELLS = SIDE**2
 
 
 @final
-class Autoencoder(Comm):
+class Autoencoder(Decoding):
     """Robots send a learnt binary code of what lies around them; hearers write what they read.
 
         m_j = sign(W_0 x_j + W_2 relu(W_1 x_j))    x_j: the 7 x 7 cells around j by its own map,
@@ -44,8 +45,6 @@ class Autoencoder(Comm):
         reconstruct: weight of the loss.
     """
 
-    exchanges: ClassVar[Literal["cells", "maps", "patches", "codes"]] = "codes"
-    reads: ClassVar[str] = "patch"
     reads_numbers: ClassVar[int] = CELLS
     fits: ClassVar[dict[str, list[str]]] = {
         "env": ["cleaning"],
@@ -63,14 +62,9 @@ class Autoencoder(Comm):
     ) -> None:
         super().__init__()
         self.message_dims, self.out_features = (message_dim,), in_features
-        self.sure, self.reconstruct, self.detach = sure, reconstruct, True
+        self.sure, self.reconstruct = sure, reconstruct
         self.encoder = _Layers(CELLS * NUM_CLASSES, hidden, message_dim)
         self.decoder = _Layers(message_dim, hidden, CELLS * NUM_CLASSES)
-
-    @property
-    def hops(self) -> int:
-        """Features cross no edge: what is said is seen with the next step."""
-        return 0
 
     def look(
         self, feature: Float[Tensor, "*batch agent feature"], scene: Scene

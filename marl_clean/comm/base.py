@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import torch
-from jaxtyping import Bool, Float, Int8, Shaped
+from jaxtyping import Bool, Float, Shaped
 from torch import Tensor, nn
 
 from marl_clean.comm._join import Join
@@ -110,6 +110,7 @@ class Comm(nn.Module, ABC):
         reads, reads_numbers: an entry of the agents, of so many numbers a robot, which `look` finds
             in the scene; None of schemes that take features alone.
         engineered: nothing of its messages is learnt: they are parts of maps, or the env's entries.
+        decodes: receivers read in messages what lies around their senders, see `_decoding`.
         out_features: length of the features it gives.
         ground: as in `Hearing`.
         joined: how features and what is heard become these, other than by the scheme itself.
@@ -129,6 +130,7 @@ class Comm(nn.Module, ABC):
     predict: float = 0.0
     observed: int = 0
     engineered: ClassVar[bool] = False
+    decodes: ClassVar[bool] = False
     reads: ClassVar[str | None] = None
     reads_numbers: ClassVar[int] = 0
 
@@ -163,11 +165,6 @@ class Comm(nn.Module, ABC):
     def chooses(self) -> bool:
         """Whether a robot chooses to which of those that it may talk to it sends."""
         return type(self).choose is not Comm.choose
-
-    @property
-    def decodes(self) -> bool:
-        """Whether receivers read in messages what lies around their senders, see `patch_of`."""
-        return type(self).patch_of is not Comm.patch_of
 
     @property
     def hops(self) -> int:
@@ -223,19 +220,6 @@ class Comm(nn.Module, ABC):
     def representation(self, state: Any) -> Float[Tensor, "*batch agent representation"] | None:
         """Return what each robot makes of all that it heard, of schemes that teach it by itself."""
         return None
-
-    def patch_of(
-        self, heard: Float[Tensor, "*batch agent message"]
-    ) -> Int8[Tensor, "*batch agent cell"]:
-        """Return what receivers read in the last round's messages, of schemes that `decodes`.
-
-        A class for each of the cells around each sender, see `marl_clean.world.patches`.
-        """
-        raise NotImplementedError
-
-    def code_loss(self, read: Shaped[Tensor, "*batch agent number"]) -> Float[Tensor, ""]:
-        """Return the loss that `patch_of` is learnt from, of the frames' entry `reads`."""
-        raise NotImplementedError
 
     def attention(self, state: Any) -> Float[Tensor, "*batch head agent other"] | None:
         """Return how much each robot attended to each in the last round, where it does."""

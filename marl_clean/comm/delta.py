@@ -1,6 +1,6 @@
 """An engineered message: the cells that changed in the sender's map."""
 
-from typing import ClassVar, Literal, final
+from typing import ClassVar, final
 
 from marl_clean.comm._quiet import Quiet
 from marl_clean.comm.base import Width
@@ -25,7 +25,7 @@ class Delta(Quiet):
         cells: how many cells a robot tells another in a step at most, the oldest change first.
     """
 
-    exchanges: ClassVar[Literal["cells", "maps", "patches", "codes"]] = "cells"
+    exchanges: ClassVar[str] = "cells"
     fits: ClassVar[dict[str, list[str]]] = {"env": ["cleaning"], "channel": ["perfect"]}
     engineered: ClassVar[bool] = True
 

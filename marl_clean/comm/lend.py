@@ -1,6 +1,6 @@
 """An engineered message without memory: the sender's whole map, for one step."""
 
-from typing import ClassVar, Literal, final
+from typing import ClassVar, final
 
 from marl_clean.comm._quiet import Quiet
 
@@ -22,6 +22,6 @@ class Lend(Quiet):
         in_features: length of the encoder's features.
     """
 
-    exchanges: ClassVar[Literal["cells", "maps", "patches", "codes"]] = "maps"
+    exchanges: ClassVar[str] = "maps"
     fits: ClassVar[dict[str, list[str]]] = {"env": ["cleaning"], "channel": ["perfect"]}
     engineered: ClassVar[bool] = True

@@ -1,6 +1,6 @@
 """An engineered message without a choice: the cells around the sender, as they are."""
 
-from typing import ClassVar, Literal, final
+from typing import ClassVar, final
 
 from marl_clean.comm._quiet import Quiet
 from marl_clean.comm.base import Width
@@ -26,7 +26,7 @@ class Patch(Quiet):
             them a message pays for.
     """
 
-    exchanges: ClassVar[Literal["cells", "maps", "patches", "codes"]] = "patches"
+    exchanges: ClassVar[str] = "patches"
     fits: ClassVar[dict[str, list[str]]] = {"env": ["cleaning"], "channel": ["perfect"]}
     engineered: ClassVar[bool] = True
 

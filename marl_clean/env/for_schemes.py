@@ -54,6 +54,9 @@ def exchange_of(comm: Mapping[str, Any], exchanges: str | None) -> Telling | Non
     """Return what the robots of a scheme tell each other of their maps; None: nothing.
 
     `exchanges`: in which form, as its class says.
+
+    Raises:
+        BadInput: no such form.
     """
     match exchanges:
         case "cells":
@@ -64,7 +67,10 @@ def exchange_of(comm: Mapping[str, Any], exchanges: str | None) -> Telling | Non
             return Patches(coded=False, tells=comm["tells"])
         case "codes":
             return Patches(coded=True)
-    return None
+        case None:
+            return None
+    valid = "cells, maps, patches, codes"
+    raise BadInput(f"{comm['_target_']}.exchanges={exchanges}: no such form; valid: {valid}")
 
 
 def _grounds(comm: Mapping[str, Any]) -> tuple[bool, bool]:

@@ -191,8 +191,8 @@ def step_counts(state: State, step: TensorDictBase) -> dict[str, Int[Tensor, " e
     along one of its edges in one round, so a step has two messages an edge and round, fewer where
     a robot chooses or has to be silent, and none without communication. A round counts where any
     robot sent. What robots tell each other of their maps as they meet after the step is a round of
-    its own. The gate's rate is the share of contacts over which a message was sent in the first
-    round, for policies that communicate.
+    its own; patches are told before it. The gate's rate is the share of contacts over which a
+    message was sent in the first round, for policies that communicate.
     """
     adjacency = step[ADJACENCY]
     degree = adjacency.sum(2)
@@ -205,7 +205,9 @@ def step_counts(state: State, step: TensorDictBase) -> dict[str, Int[Tensor, " e
     sends = bits is not None and reached.shape[-1] > 0
     told = told_bits = torch.zeros_like(cost[:, 0])
     if state.exchanged_bits is not None:
-        told, told_bits = step["next"][ADJACENCY].sum((1, 2)), state.exchanged_bits.sum(1)
+        of_patches = state.heard_record is not None
+        told = (adjacency if of_patches else step["next"][ADJACENCY]).sum((1, 2))
+        told_bits = state.exchanged_bits.sum(1)
     return {
         "bumps": state.bumped.sum(1),
         "collisions": state.collided.sum(1),

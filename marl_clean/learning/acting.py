@@ -17,6 +17,7 @@ from torchrl.data import Composite
 from torchrl.envs import TensorDictPrimer
 
 from marl_clean import keys
+from marl_clean.comm._decoding import Decoding
 from marl_clean.comm.base import Talk
 from marl_clean.errors import BadInput
 from marl_clean.learning.networks import Entries, RobotsNetwork
@@ -88,8 +89,9 @@ def record_messages(frame: TensorDictBase, talk: Talk) -> None:
 
 def record_told(frame: TensorDictBase, network: RobotsNetwork, talk: Talk) -> None:
     """Write in place, for the env, what was read in messages, of schemes that decode them."""
-    if talk.told is not None:
-        frame.set(keys.TOLD_PATCH, network.comm.patch_of(talk.told.heard))
+    comm = network.comm
+    if talk.told is not None and isinstance(comm, Decoding):
+        frame.set(keys.TOLD_PATCH, comm.patch_of(talk.told.heard))
         frame.set(keys.TOLD_EDGES, talk.told.live)
         frame.set(keys.TOLD_PLACE, frame.get(keys.POSITION))
 

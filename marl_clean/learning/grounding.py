@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from marl_clean import keys
+from marl_clean.comm._decoding import Decoding
 from marl_clean.comm.base import PLACE, Comm, Senders, Talk, with_places
 from marl_clean.env.known_cells import NOT_ASKED
 from marl_clean.learning.acting import entries
@@ -96,7 +97,7 @@ def ground_loss(
     whose receivers decode messages it is the loss of its code, whatever is sent.
     """
     comm = network.comm
-    if comm.decodes:
+    if isinstance(comm, Decoding):
         loss = comm.code_loss(frames[keys.AGENTS, comm.reads])
         return comm.reconstruct * loss, {"ground_code": loss.detach()}
     if grounding is None:

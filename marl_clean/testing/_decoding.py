@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from marl_clean.comm._decoding import Decoding
 from marl_clean.comm.base import Comm
 from marl_clean.testing._broken import require
 from marl_clean.testing._graphs import draw
@@ -11,7 +12,7 @@ from marl_clean.world.patches import CLEANED, NUM_CLASSES, SIDE, UNKNOWN
 
 def what_is_read_is_told_over_live_edges(comm: Comm) -> None:
     """A class for each cell of each sender, told over live edges; silence tells nothing."""
-    if not comm.decodes:
+    if not isinstance(comm, Decoding):
         return
     feature, live, senders = draw(4, n_agents=5)
     told = comm(feature, live, senders).told
@@ -29,7 +30,7 @@ def what_is_read_is_told_over_live_edges(comm: Comm) -> None:
     require(not silent.any(), "a message of zeros, which is silence, tells of cells")
 
 
-def code_loss(comm: Comm) -> Tensor:
+def code_loss(comm: Decoding) -> Tensor:
     """Return the loss of the scheme's code, on drawn patches."""
     generator = torch.Generator().manual_seed(0)
     patch = torch.randint(NUM_CLASSES, (4, 4, SIDE**2), generator=generator, dtype=torch.int8)

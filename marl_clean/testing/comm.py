@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from marl_clean.comm._decoding import Decoding
 from marl_clean.comm.base import Comm, Talk
 from marl_clean.testing import _choosers, _decoding, _hearers
 from marl_clean.testing._broken import (
@@ -256,7 +257,7 @@ def every_weight_learns(make: Maker) -> None:
     if not list(comm.parameters()):
         return
     talk = comm(*draw(4, n_agents=4))
-    (_decoding.code_loss(comm) if comm.decodes else talk.feature.sum()).backward()
+    (_decoding.code_loss(comm) if isinstance(comm, Decoding) else talk.feature.sum()).backward()
     for name, weight in comm.named_parameters():
         require(weight.grad is not None, f"{name} gets no gradient")
 

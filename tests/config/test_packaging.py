@@ -74,8 +74,6 @@ def test_the_wheel_carries_the_trained_runs(site: Path, tmp_path: Path) -> None:
     program = f"import sys; sys.path.insert(0, {str(site)!r}); import marl_clean.cli as c; "
     program += f"assert c.__file__.startswith({str(site)!r}); sys.exit(c.main({arguments!r}))"
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    # Machine code of searches, which is kept beside each copy of the package, takes 10 seconds.
-    environment["NUMBA_DISABLE_JIT"] = "1"
     result = subprocess.run(
         [sys.executable, "-c", program],
         capture_output=True,

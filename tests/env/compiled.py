@@ -7,7 +7,6 @@ of these settings instead, such as `observation=pyramid env.memory=private`.
 import math
 import re
 import sys
-from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -53,8 +52,7 @@ def main() -> None:
     settings = sys.argv[1:]
     plain, compiled = make(settings), make([*settings, "env.compile=true"])
     if not settings:
-        begin = torch.compile(begin_rows_, backend="eager", isolate_recompiles=True)
-        begin_several_wholly(compiled, others=begin)
+        begin_several_wholly(compiled)
     _, codes = run_and_get_code(play_beside, plain, compiled)
     if settings:  # some observations read whole maps, and make as large ones of it
         return
@@ -62,7 +60,7 @@ def main() -> None:
     # Graphs without machine code, which takes minutes of what is in all of these settings.
     plain, captured = make(CAPTURED), make(CAPTURED)
     captured.base_env.compile(backend="aot_eager", options=None)
-    begin_several_wholly(captured, others=begin_rows_)
+    begin_several_wholly(captured)
     play_beside(plain, captured)
     env, action = make([*STEP, "env.compile=true"]), torch.zeros(WORLDS, 3, dtype=torch.int64)
     _, codes = run_and_get_code(env.base_env.step_worlds, action)
@@ -76,17 +74,18 @@ def make(settings: list[str]) -> TransformedWorlds:
     return build.make_env(compose_config([*SMALL, *settings]))
 
 
-def begin_several_wholly(env: TransformedWorlds, others: Callable) -> None:
-    """Compile beginnings of several worlds that are observed at once; `others` begins the rest.
+def begin_several_wholly(env: TransformedWorlds) -> None:
+    """Compile beginnings of several worlds that are observed at once; only capture the others.
 
     One world, and all of them unobserved, are graphs of their own that hold nothing else, and take
-    as long to compile: captured alone in the first settings, and called as they are in the second.
+    as long to compile.
     """
     several = env.base_env.compiled(begin_rows_)
+    captured = torch.compile(begin_rows_, backend="eager", isolate_recompiles=True)
 
-    def begin(state: State, setup: Setup, rows: torch.Tensor, *arguments: Any) -> Any:
-        chosen = several if 1 < len(rows) < WORLDS else others
-        return chosen(state, setup, rows, *arguments)
+    def begin(state: State, setup: Setup, rows: torch.Tensor, *others: Any) -> Any:
+        chosen = several if 1 < len(rows) < WORLDS else captured
+        return chosen(state, setup, rows, *others)
 
     env.base_env._compiled[begin_rows_] = begin
 

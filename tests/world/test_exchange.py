@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from marl_clean import keys, make_env
 from marl_clean.config.compose import compose_config
 from marl_clean.config.fitting import check_fit
+from marl_clean.env.for_schemes import exchange_of
 from marl_clean.errors import BadInput
+from marl_clean.evaluation.metrics import step_counts
 from marl_clean.world.shared_map import is_known_blocked, is_unknown
 
 HOUSES = ["house.rows=[5,9]", "house.cols=[5,9]", "train_houses=6", "topology.radius_cells=4"]
@@ -105,10 +107,18 @@ def test_a_patch_costs_two_bits_a_cell_and_is_kept() -> None:
         bits = torch.where(contact, 98, 0)[:, None].expand(16, 2)
         running = ~whole["next", keys.DONE][:, 0]
         assert torch.equal(state.exchanged_bits[running], bits[running])
+        messages = step_counts(state, whole)["messages"]
+        assert torch.equal(messages[running], torch.where(contact, 2, 0)[running])
         apart = ~td[keys.ADJACENCY][:, 0, 1] & running
         heard = is_unknown(state.own_record) & ~is_unknown(state.record)
         later += int((heard & apart[:, None, None, None]).sum())
     assert later > 0
+
+
+def test_a_form_of_exchange_that_is_none_is_refused() -> None:
+    with pytest.raises(BadInput, match=r"^a.B.exchanges=cell: no such form; valid: cells, maps, "):
+        exchange_of({"_target_": "a.B"}, "cell")
+    assert exchange_of({"_target_": "a.B"}, None) is None
 
 
 def test_bad_input_is_one_line() -> None:
