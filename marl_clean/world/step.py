@@ -133,4 +133,7 @@ def meet_(state: State, setup: Setup) -> None:
 
 
 def _entries(state: State, setup: Setup, reads: Sequence[Read]) -> Entries:
-    return {key: value for read in reads for key, value in read(state, setup).items()}
+    entries: Entries = {}
+    for read in reads:  # no comprehension: that is a function of its own, which is traced twice
+        entries |= read(state, setup)
+    return entries

@@ -46,6 +46,7 @@ class Agent:
     network = torch.nn.Linear(2, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [["comm=plan"], ["channel=delayed"]])
 def test_an_update_and_a_step_run(settings: list[str]) -> None:
     update, step, agent = prepared(settings)

@@ -16,6 +16,7 @@ from tests.comm.contract import make
 
 SETTINGS = ["comm=autoencoder", "env.memory=private", "topology=full", "env.num_envs=4"]
 SETTINGS += ["comm.sure=0.3", "comm.message_dim=16"]  # untrained, it is sure of nothing
+SETTINGS += ["train_houses=8"]
 STEPS = 30
 
 
@@ -68,6 +69,7 @@ def talking(*further: str) -> tuple[TransformedEnv, torch.nn.Module]:
     return env, build.make_agent(cfg, env).policy()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("channel", "settings", "heard"),
     [("lossy", ["channel.lossy.loss=1.0"], 0), ("quantised", [], 1), ("lossy", [], 0.8)],
@@ -85,6 +87,7 @@ def test_it_is_read_as_it_arrives(channel: str, settings: list[str], heard: floa
     assert not (edges & ~contact).any()
 
 
+@pytest.mark.slow
 def test_what_was_read_is_seen_where_the_own_map_is_blank() -> None:
     env, policy = talking("env.stuck_after=null")
     td, more = env.reset(), 0
@@ -97,6 +100,7 @@ def test_what_was_read_is_seen_where_the_own_map_is_blank() -> None:
     assert more > 0
 
 
+@pytest.mark.slow
 def test_every_loop_hands_over_what_was_read() -> None:
     env, policy = talking()
     check_env_specs(env)
@@ -129,6 +133,7 @@ def seen_in(frames: TensorDictBase) -> Tensor:
     return frames[keys.OBSERVATION]
 
 
+@pytest.mark.slow
 def test_robots_that_go_on_alone_hand_over_what_they_read_now() -> None:
     """Worlds end one after another: what the policy writes for the others must not be old."""
     env, policy = talking("house.rows=[5,9]", "house.cols=[5,6]", "house=open", "env.n_agents=2")

@@ -57,6 +57,7 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, list[str]
     return runs
 
 
+@pytest.mark.slow
 def test_gains_are_in_table_json_csv_and_latex(runs: dict[str, list[str]], tmp_path: Path) -> None:
     console = Console(record=True, width=180, file=io.StringIO())
     compare.main(
@@ -98,6 +99,7 @@ def test_gains_are_in_table_json_csv_and_latex(runs: dict[str, list[str]], tmp_p
     assert r"recovered T\_90" in latex and "1 of 2 [0.01, 0.99]" in latex
 
 
+@pytest.mark.slow
 def test_rows_and_planners_are_named_by_their_labels(runs: dict[str, list[str]]) -> None:
     arms = [*runs["plan"], *runs["silent"]]
     table = marl_clean.compare(*arms, silent="comm=none", oracle="nearest_unknown")
@@ -110,6 +112,7 @@ def test_rows_and_planners_are_named_by_their_labels(runs: dict[str, list[str]])
     assert all("recovered" not in row for row in marl_clean.compare(*arms).statistics)
 
 
+@pytest.mark.slow
 def test_the_figure_shows_what_every_seed_recovers(
     runs: dict[str, list[str]], tmp_path: Path
 ) -> None:
@@ -131,6 +134,7 @@ def test_the_figure_shows_what_every_seed_recovers(
     assert marks["comm=plan (2 seeds)"].get_xydata().tolist() == [[512.0, np.mean(shown)]]
 
 
+@pytest.mark.slow
 def test_seeds_without_a_twin_are_named(
     runs: dict[str, list[str]], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -142,6 +146,7 @@ def test_seeds_without_a_twin_are_named(
     assert "seeds without a twin in comm=none: comm=plan: 0" in caplog.messages
 
 
+@pytest.mark.slow
 def test_what_cannot_be_paired_is_one_line(runs: dict[str, list[str]], tmp_path: Path) -> None:
     arms = [*runs["plan"], *runs["silent"]]
     with pytest.raises(BadInput, match=r"--oracle comm=tarmac: no such row, and no folder"):

@@ -33,6 +33,7 @@ def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_rows_are_what_evaluate_measures(grid: Path) -> None:
     rows = json.loads(grid.read_text())
     assert len(rows) == 3 * (2 + 2 * 3)
@@ -62,6 +63,7 @@ def test_gains_are_ratios_to_private_maps_and_to_no_assignment(grid: Path) -> No
             assert row[f"{measure}_coordination"] == pytest.approx(same[measure] / row[measure])
 
 
+@pytest.mark.slow
 def test_merging_is_bounded_by_private_and_shared_maps(grid: Path) -> None:
     """All lost is private, house by house; nothing lost at full reach is one map for all."""
     times = {
@@ -123,6 +125,7 @@ def test_files_and_table_say_the_same(grid: Path) -> None:
     assert grid.with_suffix(".png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_floor_plan_has_no_sides(tmp_path: Path) -> None:
     settings = ["house=floorplan", "house.path=apartment", "headroom.robots=[2]"]
     plan = make_plan([*settings, "headroom.reaches=[4]", "topology=radius"])
@@ -132,12 +135,14 @@ def test_a_floor_plan_has_no_sides(tmp_path: Path) -> None:
         make_plan([*settings, "headroom.sides=[8]"])
 
 
+@pytest.mark.slow
 def test_the_default_grid_has_sixty_cells() -> None:
     cells = {play.cell for play in make_plan([]).plays if play.cell.reach is not None}
     assert len(cells) == 60
     assert all(play.config.evaluation.houses == 40 for play in make_plan([]).plays[:1])
 
 
+@pytest.mark.slow
 def test_no_scheme_speaks_between_planners() -> None:
     """`comm=delta` would tell private maps what others have cleaned."""
     spoken = make_plan([*SMALL, "comm=delta"]).plays[0]

@@ -95,6 +95,7 @@ def test_a_tree_is_clean_until_a_file_changes_or_is_added(tmp_path: Path) -> Non
     assert made_with.git_state(package) == {**state, "clean": False}
 
 
+@pytest.mark.slow
 def test_an_install_from_git_has_the_commit_that_pip_noted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -37,6 +37,7 @@ def listed(*arguments, **filters) -> tuple[dict[str, str], str]:
     return {info.name: info.state.value for info in infos}, console.file.getvalue()
 
 
+@pytest.mark.slow
 def test_every_state_is_listed_with_what_is_known():
     with locked(Path("runs/quick-00000001")):
         states, table = listed()

@@ -35,6 +35,7 @@ def composed(name: str, arm: str) -> DictConfig:
     return compose_config([f"experiment={name}", *STUDIES[name]["arms"][arm]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
 def test_every_arm_of_a_study_fits_and_rules_name_arms(name: str) -> None:
     study = STUDIES[name]

@@ -128,6 +128,7 @@ def verdicts(folder: Path = FOLDER) -> dict[str, Outcome]:
     return {v.rule.name: v.outcome for v in judge(frozen, runs_of(frozen))}
 
 
+@pytest.mark.slow
 def test_a_study_may_be_a_file_anywhere(trained, tmp_path):
     (tmp_path / "elsewhere").mkdir()
     path = tmp_path / "elsewhere" / "delay.yaml"
@@ -162,6 +163,7 @@ def test_a_file_that_is_no_study_is_one_line(tmp_path, content, message):
         study.section_of(str(tmp_path / "gone.yaml"))
 
 
+@pytest.mark.slow
 def test_a_study_is_run_and_its_rules_are_decided(trained, monkeypatch):
     code, out = run(monkeypatch)
     assert code == 0 and "6 jobs: 6 finished" in out
@@ -349,6 +351,7 @@ def test_a_study_is_reported_alone(studied):
         study_report.folder_in(["other", "quick"])
 
 
+@pytest.mark.slow
 def test_the_section_changes_no_config():
     """A preset with a study makes the runs of the same preset without it."""
     with_study = compose_config(["experiment=quick_study"])

@@ -267,6 +267,7 @@ def test_without_optuna_one_line_says_what_to_install(tmp_path, monkeypatch, cap
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_spaces_are_read_as_sweeps_are() -> None:
     space = read_space(
         [

@@ -87,6 +87,7 @@ def test_the_wheel_carries_the_trained_runs(site: Path, tmp_path: Path) -> None:
     assert "approach_2_frontier" in result.stdout
 
 
+@pytest.mark.slow
 def test_the_editable_install_reads_the_checkout(built: Path) -> None:
     wheel = built / build_editable(str(built))
     with zipfile.ZipFile(wheel) as archive:

@@ -60,6 +60,7 @@ def test_its_results_are_those_of_the_page_of_results() -> None:
     assert [row[0] for row in measured if tuple(row[1:]) not in known] == []
 
 
+@pytest.mark.slow
 def test_its_commands_compose() -> None:
     commands = re.findall(r"^marl-clean (?:train|evaluate|watch) ([^#\n]*)", README, re.M)
     assert len(commands) >= 4

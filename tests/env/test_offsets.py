@@ -1,5 +1,6 @@
 """Where robots are, seen from each other: asked for by schemes that use places, and only then."""
 
+import pytest
 import torch
 
 from marl_clean import build, keys
@@ -9,6 +10,7 @@ from marl_clean.env.offsets import Offsets
 SETTINGS = ["house=rooms", "env.num_envs=3", "env.n_agents=3", "budget=smoke"]
 
 
+@pytest.mark.slow
 def test_an_offset_is_what_has_to_be_added_to_get_there() -> None:
     env = build.make_env(compose_config(SETTINGS))
     assert keys.OFFSET not in env.reset().keys(True)

@@ -62,6 +62,7 @@ def test_the_discounted_sum_of_an_episode_depends_on_its_ends_alone(memory: str)
     assert min(endings.values()) > 5, endings
 
 
+@pytest.mark.slow
 def test_only_the_payment_includes_it() -> None:
     shaped, plain = played(SHAPED, steps=60), played(SMALL, steps=60)
     assert keys.INFO_SHAPING not in plain["next"].keys(True, True)
@@ -95,6 +96,7 @@ def test_the_potential_of_a_lane(free: list[int], known: list[float], expected: 
     assert potential(env.base_env.state, env.base_env.rules).tolist() == [[[expected]]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", ["shared", "private"])
 def test_machine_code_and_tensors_search_alike(memory: str) -> None:
     env = build.make_env(compose_config([*SHAPED, "env.stuck_after=40", f"env.memory={memory}"]))

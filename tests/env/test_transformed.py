@@ -21,7 +21,7 @@ SMALL = [
     "house.cols=[4,7]",
     "env.num_envs=9",
     "env.n_agents=3",
-    "env.max_steps=14",
+    "env.max_steps=8",
     "env.stuck_after=5",
     "observation.view_size=5",
 ]
@@ -82,7 +82,7 @@ def test_steps_and_resets_are_torchrls(case: str, monkeypatch: pytest.MonkeyPatc
     mine, theirs = env.reset(), reference.reset()
     assert_same(mine, theirs)
     generator = torch.Generator().manual_seed(1)
-    for step in range(35):  # two episodes and more
+    for step in range(20):  # two episodes and more
         action = torch.randint(4, (9, env.base_env.n_agents), generator=generator)
         for frame in (mine, theirs):
             frame[keys.ACTION] = action

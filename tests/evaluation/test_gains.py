@@ -40,6 +40,7 @@ def test_the_interval_is_clopper_and_pearsons(successes: int, trials: int) -> No
     assert clopper_pearson(successes, trials) == pytest.approx((exact.low, exact.high))
 
 
+@pytest.mark.slow
 def test_a_seed_counts_that_beats_silence_is_heard_and_loses_it_zeroed() -> None:
     """Seeds: a protocol; no gain; a gain that is not heard; heard, but better without too."""
     silent = row("silent", 200, 200, 200, 200, 200)
@@ -77,6 +78,7 @@ def test_seeds_that_all_have_are_paired_and_a_planner_with_each() -> None:
     assert nobody["T_90"]["value"] is None and nobody["seeds"] == []
 
 
+@pytest.mark.slow
 def test_cells_say_why_there_is_no_number() -> None:
     silent, arm = row("silent", 200, 210), row("arm", 150, 160)
     clear = {"recovered": recovered_of(arm, silent, row("oracle", 100, 100))}

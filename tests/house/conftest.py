@@ -19,6 +19,11 @@ def maps() -> Path:
     return folder
 
 
+@pytest.fixture(scope="module", autouse=True)
+def drawn_once() -> None:
+    """Override that of all tests: here houses are drawn anew."""
+
+
 @pytest.fixture(autouse=True)
 def warned_of_nothing_yet() -> Iterator[None]:
     """Warnings come once a process; every test is to see its own."""

@@ -137,6 +137,7 @@ def test_given_starts_are_kept_and_others_drawn(two_starts: str, n_agents: int) 
             assert int(env.state.num_free[index]) == 7
 
 
+@pytest.mark.slow
 def test_houses_of_all_sizes_play_as_each_does_alone() -> None:
     cfg = compose_config(["house=mixture", "house.plans=[apartment]", "house.plans_share=0.3"])
     mixed = build.held_out_houses(cfg, "test", 12)

@@ -58,6 +58,7 @@ def square(world, robot: int, around: int) -> list[list[int]]:
     ]
 
 
+@pytest.mark.slow
 @given(case=cases())
 @hypothesis_settings(max_examples=25, deadline=None)
 def test_targets_are_those_of_the_reference(case: Case) -> None:
@@ -161,6 +162,7 @@ def test_messages_may_learn_from_these_losses_alone(only: bool) -> None:
     assert any(weight.grad.any() for weight in agent.network.encoder.parameters())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", ["none", "gru"])
 def test_grounded_messages_come_to_tell_the_senders_map(memory: str) -> None:
     """Beyond what each cell is most often, by these losses alone; with a memory in rows."""

@@ -44,6 +44,7 @@ def test_losses_are_their_equations():
     torch.testing.assert_close(agent.side_loss(batch)[0], expected)
 
 
+@pytest.mark.slow
 def test_they_are_learnt_and_reach_the_senders():
     agent, batch = make_agent("masia", lr=1e-2, lr_end=1e-2), batch_of()
     before = agent.side_loss(batch)[0]
@@ -97,6 +98,7 @@ def test_every_learner_reconstructs_and_a_resumed_run_has_its_decoder(learner, s
         assert torch.equal(mine, theirs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("learner", ["iql", "pqn", "ippo"])
 def test_what_is_remembered_is_taught_over_frames_in_a_row(learner):
     check_agent(learner, comm="expocomm", precision="float32")

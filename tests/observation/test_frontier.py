@@ -69,6 +69,7 @@ def test_the_plane_is_a_plain_searchs(case: Case, side: int, noise: float) -> No
     assert_plane([case], side, noise)
 
 
+@pytest.mark.slow
 @given(data=st.data())
 @hypothesis_settings(max_examples=10, deadline=None)
 def test_a_larger_house_beside_it_changes_no_plane(data: st.DataObject) -> None:

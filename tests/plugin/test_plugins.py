@@ -82,6 +82,7 @@ def test_its_levels_are_listed_helped_with_and_named_in_errors(make: Make, capsy
     assert "hush" not in rooms()["comm"]  # out of the command it is not known
 
 
+@pytest.mark.slow
 def test_it_composes_without_import_and_no_other_hash_changes(make: Make) -> None:
     before = compose.compose_config().name
     with locate.plugins_in_use([make()]):
@@ -152,6 +153,7 @@ def stored(folder: Path, config, **changes: str) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_run_that_needs_a_plugin_names_it(make: Make, tmp_path: Path, capsys) -> None:
     with locate.plugins_in_use([make()]):
         folder = stored(tmp_path / "run", compose.compose_config(["comm=hush"]))
@@ -185,6 +187,7 @@ def test_an_untrusted_config_imports_nothing_else(
     assert "hushed" not in sys.modules and "hushed_not" not in sys.modules
 
 
+@pytest.mark.slow
 def test_jobs_of_a_sweep_know_the_plugins_in_whatever_process(make: Make, monkeypatch) -> None:
     tasks = []
 

@@ -34,6 +34,7 @@ def drawn(name: str, *overrides: str) -> tuple[bytes, list[str]]:
     return content.getvalue(), [text.get_text() for text in figure.axes[0].texts]
 
 
+@pytest.mark.slow
 def test_figure_3_shows_the_layers_that_ran_with_their_shapes():
     _, texts = drawn("paper_3", "comm=none")
     assert texts[:5] == [
@@ -59,6 +60,7 @@ def test_another_layer_changes_figure_3(change):
     assert before != after and texts != changed
 
 
+@pytest.mark.slow
 def test_the_same_settings_give_the_same_figure():
     assert drawn("paper_4")[0] == drawn("paper_4")[0]
 

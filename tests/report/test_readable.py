@@ -113,6 +113,7 @@ def test_lightness_is_that_of_the_cie() -> None:
     assert lightness("#00ff00") == pytest.approx(87.7, abs=0.1)
 
 
+@pytest.mark.slow
 def test_both_files_name_the_command_and_the_configs(tmp_path: Path) -> None:
     files = save_figure(comparison(), tmp_path / "one", ORIGIN)
     for path in files:

@@ -78,6 +78,7 @@ def test_floods_of_rows_of_more_than_one_word(cols: int) -> None:
         assert torch.equal(fast, plain)
 
 
+@pytest.mark.slow
 @given(
     rows=SIDES, cols=SIDES, robots=st.integers(1, 4), maps=st.booleans(), seed=st.integers(0, 10**6)
 )

@@ -29,6 +29,7 @@ def records_of(steps: int, *settings: str, n_agents: int = 3) -> torch.Tensor:
     return torch.stack(history)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_agents", [3])
 def test_all_cells_at_once_unite_the_maps(n_agents: int) -> None:
     told = records_of(80, *PRIVATE, "comm=delta", "comm.cells=10000", n_agents=n_agents)
@@ -38,6 +39,7 @@ def test_all_cells_at_once_unite_the_maps(n_agents: int) -> None:
     assert not torch.equal(told, records_of(80, *PRIVATE, n_agents=n_agents))
 
 
+@pytest.mark.slow
 def test_without_decay_what_is_known_is_the_same_whenever_it_was_cleaned() -> None:
     lasting = "env.decay_steps=null"
     told = records_of(80, *PRIVATE, "comm=delta", "comm.cells=10000", lasting)
@@ -46,6 +48,7 @@ def test_without_decay_what_is_known_is_the_same_whenever_it_was_cleaned() -> No
     assert torch.equal(is_known_blocked(told), is_known_blocked(united))
 
 
+@pytest.mark.slow
 @given(cells=st.sampled_from([1, 2, 5]))
 @hypothesis_settings(max_examples=3, deadline=None)
 def test_no_more_cells_than_allowed_are_learnt_of_one_other(cells: int) -> None:
@@ -60,6 +63,7 @@ def test_no_more_cells_than_allowed_are_learnt_of_one_other(cells: int) -> None:
     assert 1 < most <= cells + 1  # a robot enters or bumps one cell a step itself
 
 
+@pytest.mark.slow
 def test_bits_are_those_of_the_cells_and_of_their_number() -> None:
     settings = [*PRIVATE, "house=open", "house.rows=[4,4]", "house.cols=[4,4]", "topology=full"]
     settings = [s for s in settings if "radius" not in s]
@@ -70,6 +74,7 @@ def test_bits_are_those_of_the_cells_and_of_their_number() -> None:
     assert env.base_env.state.exchanged_bits.tolist() == [[2 + 6 + 2 + 6] * 2] * 8
 
 
+@pytest.mark.slow
 def test_what_was_lent_is_not_kept() -> None:
     """Apart a robot knows what it alone has found; in contact it sees by the union."""
     lent = [*PRIVATE, "comm=lend", "env.num_envs=16", "seed=3"]
@@ -87,6 +92,7 @@ def test_what_was_lent_is_not_kept() -> None:
     assert apart > 0 and together > 0
 
 
+@pytest.mark.slow
 def test_bits_of_a_lent_map_are_those_of_house_and_ring() -> None:
     small = ["house=open", "house.rows=[4,4]", "house.cols=[4,4]", "env.num_envs=8"]
     rules = ["env.memory=private", "topology=full", "comm=lend", "env.max_steps=60"]
@@ -95,6 +101,7 @@ def test_bits_of_a_lent_map_are_those_of_house_and_ring() -> None:
     assert env.base_env.state.exchanged_bits.tolist() == [[36 * (2 + 6)] * 2] * 8
 
 
+@pytest.mark.slow
 def test_a_patch_costs_two_bits_a_cell_and_is_kept() -> None:
     """Two robots side by side hear each other's 7 x 7 cells with each step, and know them later."""
     env = make_env([*PRIVATE, "comm=patch", "env.num_envs=16", "seed=3"])
@@ -121,6 +128,7 @@ def test_a_form_of_exchange_that_is_none_is_refused() -> None:
     assert exchange_of({"_target_": "a.B"}, None) is None
 
 
+@pytest.mark.slow
 def test_bad_input_is_one_line() -> None:
     delayed = ["comm=autoencoder", "channel=delayed"]
     with pytest.raises(BadInput, match=r"^channel=delayed: does not fit comm=autoencoder; valid: "):

@@ -617,6 +617,7 @@ class TestMeasures:
 quick = settings(max_examples=60, deadline=None)
 
 
+@pytest.mark.slow
 @given(cases())
 @quick
 def test_robots_stay_on_distinct_free_cells_and_rewards_in_range(case: Case) -> None:
@@ -640,6 +641,7 @@ def test_robots_stay_on_distinct_free_cells_and_rewards_in_range(case: Case) -> 
         assert contacts == [list(line) for line in zip(*contacts, strict=True)]
 
 
+@pytest.mark.slow
 @given(cases(furniture_moves=False))
 @quick
 def test_coverage_never_falls_without_moving_furniture(case: Case) -> None:
@@ -651,6 +653,7 @@ def test_coverage_never_falls_without_moving_furniture(case: Case) -> None:
         before = played.coverage()
 
 
+@pytest.mark.slow
 @given(cases(furniture_moves=False))
 @quick
 def test_maps_hold_the_truth_unless_stale(case: Case) -> None:
@@ -664,6 +667,7 @@ def test_maps_hold_the_truth_unless_stale(case: Case) -> None:
             assert all(record.blocked != played.is_free(place) for place, record in known.items())
 
 
+@pytest.mark.slow
 @given(cases(furniture_moves=False))
 @quick
 def test_maps_merged_by_all_with_all_are_the_shared_map(case: Case) -> None:
@@ -700,6 +704,7 @@ def test_no_play_beats_a_bound(case: Case, assignment: Assignment, certify: bool
     assert found["coverage"] == 1 or found["T_100"] is None
 
 
+@pytest.mark.slow
 @given(cases(max_agents=2, furniture_moves=False))
 @quick
 def test_hungarian_costs_least_of_all_assignments(case: Case) -> None:

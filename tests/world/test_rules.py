@@ -43,6 +43,7 @@ def test_a_key_of_a_section_of_rules_is_refused_by_its_whole_name(name: str) -> 
         compose_config([f"env.spills.{name}={WRONG_SPILLS[name]}"])
 
 
+@pytest.mark.slow
 def test_a_section_of_rules_has_its_keys_and_no_others() -> None:
     with pytest.raises(BadInput, match="^env.spills.sizes: no such key; did you mean size?"):
         compose_config(["env.spills.sizes=3"])

@@ -205,6 +205,7 @@ def play(env, steps: int, seed: int) -> None:
         env.step_worlds(torch.randint(4, (env.num_envs, env.n_agents), generator=generator))
 
 
+@pytest.mark.slow
 def test_a_saved_state_goes_on_as_it_would_have() -> None:
     env, other = (build.make_env(compose_config([*SMALL, *SPILLING])).base_env for _ in range(2))
     env.reset()
@@ -247,6 +248,7 @@ def test_spills_in_random_play_are_those_of_the_reference(case: Case) -> None:
     assert_same_play([case], whole_map=True)
 
 
+@pytest.mark.slow
 @given(case=cases(settings=spilling, max_agents=8))
 @hypothesis_settings(max_examples=30, deadline=None)
 def test_spills_keep_their_promises_in_the_plain_world(case: Case) -> None:

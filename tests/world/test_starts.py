@@ -42,6 +42,7 @@ def test_a_world_alone_starts_as_it_does_among_others() -> None:
     assert torch.equal(wider.base_env.state.position, env.base_env.state.position[:3])
 
 
+@pytest.mark.slow
 def test_places_of_a_plan_are_kept_and_the_others_stand_beside_the_first() -> None:
     plan = ["house=floorplan", "house.path=apartment", "env.n_agents=3", "env.num_envs=8"]
     drawn = make_env(plan)

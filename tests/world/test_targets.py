@@ -58,6 +58,7 @@ def expected(world: World, robot: int, index: int) -> list[int]:
     return [row - here[0], col - here[1], 1]
 
 
+@pytest.mark.slow
 @given(case=cases(max_agents=3))
 @hypothesis_settings(max_examples=25, deadline=None)
 def test_a_target_is_the_nearest_place_that_the_own_map_lacks(case: Case) -> None:
