@@ -36,6 +36,7 @@ def pytest_runtest_teardown() -> None:
     """Look for garbage between tests; within them it took a tenth of the time of all."""
     if gc.get_count()[0] > UNCOLLECTED:
         gc.collect()
+        gc.freeze()  # what is cached now stays
 
 
 _layouts: dict[tuple[str, int, int], base.HouseLayout] = {}

@@ -111,6 +111,7 @@ def test_a_preset_composes_and_names_its_runs(path: Path) -> None:
     assert compose.compose_config([f"+experiment={path.stem}"]).name.startswith(f"{path.stem}-")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(CONF.glob("budget/*.yaml")), ids=name_of)
 def test_a_budget_has_the_last_word_over_a_preset(path: Path) -> None:
     frames = yaml.safe_load(path.read_text())["trainer"]["total_frames"]

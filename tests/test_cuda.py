@@ -167,6 +167,7 @@ def test_nothing_else_is_read_from_a_step(
     assert set(reads.by_file) == WAITS and reads.by_file["transformed.py"] == STEPS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [

@@ -64,6 +64,7 @@ def test_pettingzoo_finds_it_seeded() -> None:
     parallel_seed_test(make)
 
 
+@pytest.mark.slow
 def test_pettingzoo_accepts_its_pictures(capsys: pytest.CaptureFixture[str]) -> None:
     render_test(lambda render_mode: parallel_to_aec(make(render_mode=render_mode)))
 
@@ -179,6 +180,7 @@ def test_the_state_is_the_union_of_all_maps_as_large_as_the_largest_house() -> N
         }
 
 
+@pytest.mark.slow
 def test_pictures_show_the_world_and_text_shows_its_progress(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -206,6 +208,7 @@ def test_after_the_end_no_actions_return_empty_dicts() -> None:
     assert env.agents == [] and env.step({}) == ({}, {}, {}, {}, {})
 
 
+@pytest.mark.slow
 def test_keywords_and_overrides_make_the_same_world() -> None:
     by_keywords = parallel_env(FEW, n_agents=3, adjacency=True, env={"memory": "private"})
     by_overrides = make("env.n_agents=3", "env.memory=private", adjacency=True)

@@ -77,6 +77,7 @@ def test_unrolled_rows_say_what_was_played(settings: list[str]) -> None:
     torch.testing.assert_close(again, row[keys.ACTION_VALUE])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["gru", "delayed", "remembered"])
 def test_what_is_carried_matters_and_gradients_cross_steps(kind: str) -> None:
     _, agent, frames = played(CARRYING[kind])
@@ -128,6 +129,7 @@ def test_an_env_without_draws_is_named() -> None:
         policy(build.make_env(compose_config(BASE)).reset())
 
 
+@pytest.mark.slow
 def test_rows_are_cut_in_order_whatever_the_blocks() -> None:
     rows, frames = Rows(4), played(CARRYING["gru"])[2].select(keys.IS_INIT, "next")
     cut = [
@@ -138,6 +140,7 @@ def test_rows_are_cut_in_order_whatever_the_blocks() -> None:
     assert (whole == frames[:, : whole.shape[1]]).all()
 
 
+@pytest.mark.slow
 def test_an_update_learns_from_rows() -> None:
     _, agent, frames = played([*CARRYING["gru"], "agent.n_steps=3"])
     windows = Windows(3, 0.95)

@@ -44,6 +44,7 @@ def test_robot_0_is_the_lowest_digit(actions):
     assert encode_joint(torch.tensor(actions)) == number
 
 
+@pytest.mark.slow
 def test_the_best_joint_action_is_taken_by_its_robots():
     env, agent = make("env.n_agents=3")
     td = agent.policy()(env.reset())
@@ -53,6 +54,7 @@ def test_the_best_joint_action_is_taken_by_its_robots():
     assert torch.equal(td[keys.ACTION], torch.stack([best % 4, best // 4 % 4, best // 16], -1))
 
 
+@pytest.mark.slow
 def test_exploration_draws_joint_actions():
     env, agent = make("env.num_envs=512", "env.n_agents=2")
     agent.anneal(0.0)
@@ -71,6 +73,7 @@ def test_it_is_paid_exactly_the_sum_of_the_robots_rewards():
     assert torch.equal(learnt, td["next", keys.OWN_REWARD].sum(-2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("double", [True, False])
 @pytest.mark.parametrize("n_agents", [1, 3])
 def test_updates_equal_plain_pytorch(double, n_agents):
@@ -122,6 +125,7 @@ def test_weights_of_two_robots_do_not_play_with_three(tmp_path, monkeypatch):
     compose_for_policy(["checkpoint=two", "env.num_envs=3"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("override", "expected"),
     [

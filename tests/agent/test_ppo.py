@@ -105,6 +105,7 @@ def test_the_contract_with_normalised_values() -> None:
     check_agent("ippo", precision="float32", normalize_value=True, critic_memory="gru")
 
 
+@pytest.mark.slow
 def test_normalised_values_are_in_units_of_the_reward_and_soon_of_its_size() -> None:
     batch = transitions(10)
     batch[keys.LOG_PROB] = torch.full((10, 2), 0.25).log()
@@ -172,6 +173,7 @@ def test_a_critics_memory_goes_through_episodes_and_from_block_to_block(critic: 
         torch.testing.assert_close(part["next", keys.STATE_VALUE], later[:, span])
 
 
+@pytest.mark.slow
 def test_an_external_task_has_no_true_state() -> None:
     spread = compose_config(["+experiment=spread"])
     by_ppo = compose_config([*SMALL[-3:]])

@@ -179,6 +179,7 @@ def test_what_is_heard_was_sent_so_many_steps_ago(late):
         state = delayed.state_after(step, message.split(DIMS, dim=-1), [live, live])
 
 
+@pytest.mark.slow
 def test_drawn_ages_tell_themselves():
     delayed = Delayed(2, True, DIMS)
     torch.nn.init.constant_(delayed.age, 0.5)

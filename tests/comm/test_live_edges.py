@@ -42,6 +42,7 @@ def with_gradients(product: Product, first: Tensor, second: Tensor, live: Tensor
     return result.detach(), *torch.autograd.grad(result, (first, second), back)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(BATCHES, st.integers(1, 6), st.integers(0, 1_000))
 def test_they_are_the_plain_ones_and_so_are_their_gradients(batch, n_agents, seed) -> None:
@@ -66,6 +67,7 @@ def test_what_is_not_finite_crosses_the_live_edges_and_no_other(n_agents, seed, 
     assert torch.equal(met[..., sender], ~heard) and met[..., other].all()
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(st.integers(1, 6), st.integers(0, 1_000))
 def test_neither_does_it_come_back_over_a_dead_edge(n_agents, seed) -> None:

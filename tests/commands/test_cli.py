@@ -154,6 +154,7 @@ def test_all_bad_input_is_met_before_torch_is_imported(place: Path) -> None:
     assert result.returncode == 0, result.stderr
 
 
+@pytest.mark.slow
 def test_a_run_that_exists_is_not_overwritten_by_another_config(
     place: Path, capsys: pytest.CaptureFixture[str], trained: list[str]
 ) -> None:
@@ -211,6 +212,7 @@ def test_a_preset_has_a_sweep_and_settings_override_it_key_by_key(
     assert all("hydra" not in config for config in configs)
 
 
+@pytest.mark.slow
 def test_a_preset_that_sweeps_is_one_run_without_m(place: Path, trained: list[str]) -> None:
     assert cli.main(["train", "+experiment=reward_sharing"]) == 0
     [name] = trained
@@ -227,6 +229,7 @@ def test_every_sweep_of_a_preset_is_made_of_distinct_sound_jobs(preset: str) -> 
     assert len(jobs) == math.prod(len(v.split(",")) for v in {**swept, **fewer}.values())
 
 
+@pytest.mark.slow
 def test_every_job_is_checked_before_the_first_runs(place: Path, trained: list[str]) -> None:
     assert cli.main([*SWEEP, "env.n_agents=2,99"]) == cli.BAD_INPUT
     assert trained == []

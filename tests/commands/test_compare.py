@@ -270,6 +270,7 @@ def test_a_run_measured_without_its_own_policy_is_left_out(kept, pair, tmp_path,
     assert len(caplog.messages) == 1 and str(path) in caplog.messages[0]
 
 
+@pytest.mark.slow
 def test_entries_of_before_a_measure_are_pooled_without_it(tmp_path, caplog) -> None:
     runs = [
         write_run(tmp_path / f"plan-s{seed}", [f"seed={seed}"], [40, 60 + seed]) for seed in (0, 1)
@@ -287,6 +288,7 @@ def test_entries_of_before_a_measure_are_pooled_without_it(tmp_path, caplog) -> 
     assert caplog.messages == []
 
 
+@pytest.mark.slow
 def test_tasks_of_others_are_compared_by_their_return(tmp_path) -> None:
     def write_task(comm: str, returns: list[float]) -> str:
         folder = tmp_path / comm

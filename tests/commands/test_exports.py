@@ -217,6 +217,7 @@ def test_a_damaged_export_is_left_out_in_one_line(
     assert str(path) in line and "\n" not in line and len(line) < 300
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", READABLE)
 def test_entries_of_another_version_are_named_and_the_rest_is_compared(
     name: str, exported: Path, tmp_path: Path, caplog

@@ -79,6 +79,7 @@ def test_merging_is_bounded_by_private_and_shared_maps(grid: Path) -> None:
     assert times["full", "loss 0.8", "merged"] not in (private, shared)
 
 
+@pytest.mark.slow
 def test_a_lossy_channel_thins_contacts_by_its_share() -> None:
     [item] = [
         item

@@ -52,6 +52,7 @@ def test_training_holds_the_lock_and_bad_input_leaves_no_folder(place, monkeypat
     assert list(place.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_comparison_trains_the_others_and_then_names_what_is_held(place, monkeypatch):
     seen = []
 

@@ -51,6 +51,7 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return runs
 
 
+@pytest.mark.slow
 def test_seeds_are_pooled_against_the_untouched_runs(runs: list[str]) -> None:
     [part] = parts_of(runs)
     (caption, rows), (_, listening) = part.tables
@@ -66,6 +67,7 @@ def test_seeds_are_pooled_against_the_untouched_runs(runs: list[str]) -> None:
     assert plot.numbers[1][1].startswith("+20.0 [")
 
 
+@pytest.mark.slow
 def test_of_one_seed_the_cells_are_those_of_the_terminal(runs: list[str]) -> None:
     [part] = parts_of(runs[:1])
     printed, listening = make_causal_tables(entries_of("plan-s0", 10))
@@ -96,6 +98,7 @@ def test_what_is_damaged_is_left_out_in_one_line(
     assert sum("evaluate/plan-s0" in record.getMessage() for record in caplog.records) == 1
 
 
+@pytest.mark.slow
 def test_interventions_in_a_runs_own_file_are_no_planners(runs: list[str]) -> None:
     own = Path(runs[0], "evaluation.json")
     own.write_text(json.dumps([*entries_of("plan-s0", 10)]))

@@ -25,6 +25,7 @@ def runs(tmp_path: Path) -> tuple[list[str], str]:
     return [silent], write_run(tmp_path / "told", ["env.memory=merged"], [20, 60])
 
 
+@pytest.mark.slow
 def test_the_gap_is_one_minus_the_mean_ratio_to_the_oracles_time(runs) -> None:
     own, told = runs
     [world] = compare.compared(own, oracle=told)

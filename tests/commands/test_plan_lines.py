@@ -66,6 +66,7 @@ COMMANDS: dict[str, Callable[[DictConfig], object]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_reports_once_what_is_kept_of_the_plan(
     command: str, plan: list[str], capfd: pytest.CaptureFixture[str]
@@ -75,6 +76,7 @@ def test_a_command_reports_once_what_is_kept_of_the_plan(
     assert capfd.readouterr().err == f"{LINE}{more}\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["evaluate", "watch"])
 def test_generated_houses_need_no_line(
     command: str, plan: list[str], capfd: pytest.CaptureFixture[str]
@@ -122,6 +124,7 @@ def test_an_entry_is_written_before_the_next_policy_is_measured(tmp_path: Path) 
     assert changed["policy"] == f"{cfg.name} | zero" and "change" in changed
 
 
+@pytest.mark.slow
 def test_progress_rises_to_one_whatever_the_memory_allows(monkeypatch: pytest.MonkeyPatch) -> None:
     cfg = compose_config(["house=open", "house.rows=[3,3]", "house.cols=[5,5]"])
     cfg.evaluation.houses = 5

@@ -77,6 +77,7 @@ def git(folder: Path, *arguments: str) -> None:
     subprocess.run(["git", "-C", str(folder), *about, *arguments], check=True, capture_output=True)
 
 
+@pytest.mark.slow
 def test_a_tree_is_clean_until_a_file_changes_or_is_added(tmp_path: Path) -> None:
     package = tmp_path / "package"
     package.mkdir()

@@ -52,6 +52,7 @@ def test_every_state_is_listed_with_what_is_known():
     assert mine.split()[1:7] == ["unfinished", "-", "7", "300", "of", "900"]
 
 
+@pytest.mark.slow
 def test_filters_narrow_the_list():
     assert list(listed(["quick-*"])[0]) == ["quick-00000001", "quick-00000003"]
     assert list(listed([], ["finished"])[0]) == ["lamp/00000002", "quick-00000001"]
@@ -66,6 +67,7 @@ def add_state(folder: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_clean_removes_states_of_finished_runs_after_asking(monkeypatch, capsys):
     finished, unfinished = add_state("runs/quick-00000001"), add_state("runs/mine")
     assert cli.main(["runs", "--clean"]) == cli.BAD_INPUT

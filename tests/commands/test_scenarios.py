@@ -48,6 +48,7 @@ def test_every_arm_of_a_study_fits_and_rules_name_arms(name: str) -> None:
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_controls_and_oracles_differ_from_the_others_in_nothing_else(name: str) -> None:
     study = STUDIES[f"{name}_study"]

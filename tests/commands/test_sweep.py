@@ -93,6 +93,7 @@ def test_a_held_job_is_left_to_its_process_and_named(trained):
     assert f"held by process {os.getpid()} on" in table and "1 running, 1 finished" in table
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_is_replaced_but_not_for_ever(trained, monkeypatch):
     """A launcher whose pool breaks: the jobs that were running are resumed, the rest started."""
     launches = []

@@ -176,11 +176,13 @@ def test_an_int_is_a_float_but_a_bool_is_no_int() -> None:
     assert schema.mismatch("shared", settings.Memory) is None
 
 
+@pytest.mark.slow
 def test_no_logger_is_a_choice() -> None:
     assert compose_config(["logger=[]"]).logger == {}
     assert list(compose_config(["logger=[csv]"]).logger) == ["csv"]
 
 
+@pytest.mark.slow
 def test_instantiate_gives_declared_types_and_lets_parts_win() -> None:
     house = schema.instantiate(compose_config(["house=open"]).house, cols=[3, 4])
     assert (house.rows, house.cols) == ([10, 10], [3, 4])
@@ -292,6 +294,7 @@ def test_a_name_is_not_used_for_two_configs(run: Path) -> None:
         check_same_run(compose_config(["name=mine"]), run)
 
 
+@pytest.mark.slow
 def test_a_later_key_of_a_level_counts_where_it_has_a_value() -> None:
     plan = compose_config(["house=floorplan", "house.path=apartment"])
     named = compose_config(["house=floorplan", "house.path=apartment", COLOUR])

@@ -44,6 +44,7 @@ def test_every_learner_has_a_network_of_the_budget(agent: str) -> None:
     assert 0.98 * BUDGET < size(built) <= BUDGET
 
 
+@pytest.mark.slow
 def test_layers_before_the_last_keep_their_width() -> None:
     network = learner("encoder.hidden=[48,8]", f"parameter_budget={BUDGET}").network
     widths = [layer.out_features for layer in network.encoder.connected[::2]]
@@ -51,6 +52,7 @@ def test_layers_before_the_last_keep_their_width() -> None:
     assert widths[1] != 8
 
 
+@pytest.mark.slow
 def test_weights_are_those_of_that_width_without_a_budget() -> None:
     sized = learner(f"parameter_budget={BUDGET}").network
     plain = learner(f"encoder.hidden=[{sized.encoder.out_features}]").network

@@ -85,6 +85,7 @@ def house(seed: int, time: int | None) -> dict:
     return record | {"seed": seed, "max_steps": 250, "T_100": time, "T_90": time}
 
 
+@pytest.mark.slow
 def test_what_is_stored_is_what_was_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

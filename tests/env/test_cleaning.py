@@ -72,6 +72,7 @@ def test_equal_seeds_give_equal_episodes_and_other_seeds_others(overrides: list[
     assert not (first == other).all()
 
 
+@pytest.mark.slow
 def test_set_seed_starts_over() -> None:
     actions = actions_for(60, 6)
     env = small_env(seed=1)
@@ -203,6 +204,7 @@ def test_a_compiled_env_steps_as_a_plain_one_and_keeps_its_maps(run_script):
     run_script("tests.env.compiled")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("overrides", [[], ["reward=team"], ["agent=qmix", "reward=team"]])
 def test_what_a_robot_is_paid_is_the_only_reward(overrides: list[str]) -> None:
     env = small_env(*overrides)

@@ -11,6 +11,7 @@ PROBE = ["experiment=leader_bit", "env.n_agents=3"]
 SHORT = ["trainer.total_frames=8_192", "trainer.eval_interval_frames=8_192"]
 
 
+@pytest.mark.slow
 def test_it_is_an_env_by_torchrls_rules() -> None:
     check_env_specs(make_env(PROBE))
 

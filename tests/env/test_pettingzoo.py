@@ -88,6 +88,7 @@ def copies(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
     yield kinds
 
 
+@pytest.mark.slow
 def test_it_is_an_env_by_torchrls_rules() -> None:
     env = make_env(SPREAD)
     check_env_specs(env)
@@ -95,6 +96,7 @@ def test_it_is_an_env_by_torchrls_rules() -> None:
     assert env.observation_spec[keys.OBSERVATION].shape == (3, 3, 18)
 
 
+@pytest.mark.slow
 def test_it_steps_as_the_bare_tasks_do() -> None:
     env = make_env([*SPREAD, "reward=individual", "env.options={N: 2, max_cycles: 7}"])
     env.set_seed(11)
@@ -126,6 +128,7 @@ def test_it_steps_as_the_bare_tasks_do() -> None:
                 seen[row], _ = copy.reset(seed=int(env.base_env.episode_seeds[row]))
 
 
+@pytest.mark.slow
 def test_copies_reset_each_for_itself_and_each_alone_is_the_same(copies: dict[str, Any]) -> None:
     env = make_env(SPREAD)  # episodes of 3, 4 and 5 steps
     played = env.rollout(12, break_when_any_done=False)
@@ -139,6 +142,7 @@ def test_copies_reset_each_for_itself_and_each_alone_is_the_same(copies: dict[st
     assert (alone[keys.OBSERVATION] == played[keys.OBSERVATION][1:2]).all()
 
 
+@pytest.mark.slow
 def test_agents_are_paid_in_the_tasks_order(copies: dict[str, Any]) -> None:
     env = make_env([*SPREAD, "reward=team"])
     td = env.reset()
@@ -168,12 +172,14 @@ def test_an_episode_ends_for_all_when_it_ends_for_one(
     assert ends[keys.TRUNCATED][0, -1] != terminates
 
 
+@pytest.mark.slow
 def test_the_seed_decides_all() -> None:
     first, again, other = (make_env([*SPREAD, f"seed={seed}"]).reset() for seed in (3, 3, 4))
     assert (first == again).all()
     assert (first[keys.OBSERVATION] != other[keys.OBSERVATION]).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("topology", "live"), [("full", True), ("none", False)])
 def test_contact_is_fixed_and_the_others_are_ranked_in_order(topology: str, live: bool) -> None:
     td = make_env([*SPREAD, f"topology={topology}"]).rollout(2)
@@ -241,6 +247,7 @@ def test_agents_must_be_alike(copies: dict[str, Any], kinds: dict[str, Any]) -> 
         make_env(SPREAD)
 
 
+@pytest.mark.slow
 def test_a_return_is_the_sum_over_one_episode_and_all_agents(copies: dict[str, Any]) -> None:
     env = make_env(SPREAD)
 

@@ -117,6 +117,7 @@ def test_evaluation_does_not_compute_it() -> None:
     assert not any(isinstance(transform, Shaping) for transform in env.transforms)
 
 
+@pytest.mark.slow
 def test_a_training_shapes_by_the_learners_present_discount(tmp_path) -> None:
     settings = ["trainer.frames_per_batch=18", "trainer.batch_frames=18", "encoder.hidden=[16]"]
     rising = ["agent.gamma_end=0.99", "trainer.total_frames=180"]

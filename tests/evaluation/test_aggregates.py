@@ -147,6 +147,7 @@ matrices = st.builds(
 )
 
 
+@pytest.mark.slow
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(matrices)
 def test_statistics_lie_among_the_values_and_forget_the_order(matrix: Matrix) -> None:

@@ -164,6 +164,7 @@ def test_shut_is_no_contact_and_open_is_full_contact():
     assert len(returns) == 2  # it matters to this policy who is heard
 
 
+@pytest.mark.slow
 def test_the_untouched_policy_is_left_as_it_was():
     cfg, policy = policy_of()
     before = played(cfg, policy)

@@ -70,6 +70,7 @@ def test_house_i_is_test_seed_i_and_starts_do_not_depend_on_policy_or_run_seed(c
         assert [record[name] for name in names] == [other_record[name] for name in names]
 
 
+@pytest.mark.slow
 def test_the_same_evaluation_gives_the_same_records_and_leaves_global_randomness_alone(cfg):
     torch.manual_seed(5)
     before = torch.get_rng_state()
@@ -111,6 +112,7 @@ def test_messages_are_counted_only_while_an_episode_runs(cfg):
         assert record["messages"] == pytest.approx(2 * record["edges"])
 
 
+@pytest.mark.slow
 def test_chunks_bound_the_memory_and_know_their_houses(cfg, monkeypatch):
     whole = run(cfg)
     monkeypatch.setattr(evaluator, "CELLS_AT_ONCE", 4 * 6 * 9)
@@ -120,6 +122,7 @@ def test_chunks_bound_the_memory_and_know_their_houses(cfg, monkeypatch):
     assert [r["free_cells"] for r in parts] == [r["free_cells"] for r in whole]
 
 
+@pytest.mark.slow
 def test_a_loaded_plan_is_one_house_started_as_often():
     plan = compose_config(["house=drawn", "evaluation.houses=3", "env.max_steps=5"])
     entry = measure_planner(plan)
@@ -129,6 +132,7 @@ def test_a_loaded_plan_is_one_house_started_as_often():
     assert len({record["free_cells"] for record in records}) == 1
 
 
+@pytest.mark.slow
 def test_certify_continues_the_episode_and_changes_nothing_else(cfg):
     def planner(env):
         return build.make_planner(cfg, env)
@@ -153,6 +157,7 @@ def test_a_learned_policy_stands_beside_the_planners(cfg):
     assert times["nearest_unknown"] < times["random"]
 
 
+@pytest.mark.slow
 def test_weights_are_chosen_on_other_houses_than_they_are_tested_on(cfg):
     means = validate(cfg, Spread())
     records = evaluate(

@@ -64,6 +64,7 @@ def test_each_of_the_three_conditions_decides() -> None:
     assert not forms_protocol(silent, silent - 30 + 4 * swings, silent + 1)  # the gain is chance
 
 
+@pytest.mark.slow
 def test_seeds_that_all_have_are_paired_and_a_planner_with_each() -> None:
     silent, arm = row("silent", 200, 210, 190), row("arm", 150, 160)
     planner = Row("merged", {None: entry(100)})

@@ -71,6 +71,7 @@ def test_it_is_mann_whitneys_u_averaged_over_houses() -> None:
     assert result.value == pytest.approx(u.mean())
 
 
+@pytest.mark.slow
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.lists(st.sampled_from([-np.inf, 0.0, 1.0, 2.0]), min_size=4, max_size=4),

@@ -115,6 +115,7 @@ def test_an_evaluation_adds_the_optimum_and_the_gap_and_changes_nothing_else(n_a
     assert known["summary"]["gap_100"]["mean"] == pytest.approx(np.mean(gaps))
 
 
+@pytest.mark.slow
 def test_a_large_house_and_one_with_moving_furniture_have_no_optimum() -> None:
     optimum = ["evaluation.optimum=true", "evaluation.houses=2", "env.n_agents=1"]
     large = ["house.rows=[14, 14]", "house.cols=[14, 14]", "env.max_steps=3"]
@@ -139,6 +140,7 @@ def test_without_or_tools_the_optimum_is_bad_input_before_any_episode(monkeypatc
     checks.check_optimum(compose_config([]))
 
 
+@pytest.mark.slow
 def test_the_config_of_an_earlier_run_may_lack_the_key() -> None:
     earlier = OmegaConf.to_container(compose_config(SMALL))
     del earlier["evaluation"]["optimum"]

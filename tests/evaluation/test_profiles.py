@@ -41,6 +41,7 @@ def test_finished_by_counts_the_step_itself_and_never_the_unfinished() -> None:
     assert result.share == pytest.approx([0, 0, 0.25, 0.25, 0.5, 0.5])
 
 
+@pytest.mark.slow
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(st.sampled_from([0.0, 3.0, 7.0, np.inf]), min_size=1, max_size=12))
 def test_a_curve_of_times_rises_and_a_profile_of_scores_falls(times: list[float]) -> None:

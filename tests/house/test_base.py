@@ -69,6 +69,7 @@ def cells_of(free: np.ndarray) -> list[tuple[int, int]]:
     return [(int(row), int(col)) for row, col in np.argwhere(free)]
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(PLANS)
 def test_without_starts_the_largest_region_stays_the_first_of_equals(free: np.ndarray) -> None:
@@ -82,6 +83,7 @@ def test_without_starts_the_largest_region_stays_the_first_of_equals(free: np.nd
     assert set(cells_of(keep_region(plan).free)) == expected
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(PLANS, st.data())
 def test_with_starts_their_region_stays_or_they_are_bad(free: np.ndarray, data) -> None:
@@ -183,6 +185,7 @@ def test_splits_do_not_overlap_and_bad_ones_are_named() -> None:
         draw_houses(Open([3, 3], [3, 3]), [], n_agents=1)
 
 
+@pytest.mark.slow
 def test_the_room_does_without_torch() -> None:
     modules = ", ".join(f"marl_clean.house.{name}" for name in ("rooms", "open", "floorplan"))
     code = f"import sys, marl_clean.house.drawn, {modules}; sys.exit('torch' in sys.modules)"

@@ -39,6 +39,7 @@ def test_windows_line_ends_and_blank_lines_at_the_end_change_nothing(tmp_path: P
     assert plain.starts is None
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(st.integers(1, 7), st.integers(1, 7), st.data())
 def test_any_picture_reads_as_it_is_drawn(

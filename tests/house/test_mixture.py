@@ -54,6 +54,7 @@ def test_a_house_is_the_one_that_its_part_alone_would_draw() -> None:
     assert kinds == {0, 1, 2, 3}
 
 
+@pytest.mark.slow
 def test_margins_are_blocked_cells_around_the_same_house() -> None:
     plain = Mixture(SIDES, ["rooms", "open"], plans=["apartment"], plans_share=0.2)
     inside = Mixture(
@@ -92,6 +93,7 @@ def test_parts_come_as_often_as_the_lists_say() -> None:
     assert walled == pytest.approx(2 / 3, abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_bank_keeps_the_shares_of_parts_that_have_few_layouts() -> None:
     """Open floors of one size are all equal, and so is a plan: they count as often as asked."""
     bank = draw_bank(
@@ -171,6 +173,7 @@ def test_houses_of_all_sizes_play_as_each_does_alone() -> None:
                 assert torch.equal(own["next", "agents", key][0], step[key][index])
 
 
+@pytest.mark.slow
 def test_records_name_the_seed_of_a_drawn_house_and_the_path_of_a_plan() -> None:
     settings = ["house=mixture", "house.sides=[[5,6],[8,9]]", "house.plans=[apartment]"]
     settings += ["house.plans_share=0.6", "evaluation.houses=8", "env.max_steps=30"]

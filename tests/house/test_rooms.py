@@ -39,6 +39,7 @@ LAYOUTS = st.fixed_dictionaries(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(LAYOUTS, SEEDS)
 def test_any_house_is_walled_connected_and_furnished_with_rectangles(
@@ -61,6 +62,7 @@ def test_any_house_is_walled_connected_and_furnished_with_rectangles(
         assert max(plan.furniture[box].shape) <= house.piece_sides[1]
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(LAYOUTS, SEEDS)
 def test_rooms_are_rectangles_joined_by_doors_one_cell_wide(
@@ -92,6 +94,7 @@ def test_odd_shapes(rows: int, cols: int) -> None:
     assert (drawn.free_cells >= 1).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(LAYOUTS, SEEDS)
 def test_a_house_is_a_function_of_seed_and_draw(layout: dict[str, Any], seed: int) -> None:

@@ -84,6 +84,7 @@ def test_targets_are_those_of_the_reference(case: Case) -> None:
             break
 
 
+@pytest.mark.slow
 def test_nothing_is_added_unless_asked_for_nor_in_evaluation() -> None:
     for settings, shaped, wanted in (([], True, False), (BOTH, True, True), (BOTH, False, False)):
         cfg = compose_config([*SMALL, "comm=plan", *settings])
@@ -98,6 +99,7 @@ def grounded() -> Grounding:
     return Grounding(comm)
 
 
+@pytest.mark.slow
 def test_the_losses_are_their_equations() -> None:
     part = grounded()
     frames = collected([*SMALL, "comm=plan", *LEARNERS["pqn"], *BOTH])[1][0, :6]
@@ -125,6 +127,7 @@ def test_the_losses_are_their_equations() -> None:
     torch.testing.assert_close(losses["missing"], torch.cat(by_missing).mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_learners_learn_from_them_and_log_them(learner: str) -> None:
     agent, block = collected([*SMALL, "comm=plan", *LEARNERS[learner], *BOTH], steps=8)

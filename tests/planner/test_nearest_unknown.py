@@ -161,6 +161,7 @@ def _corridor() -> Case:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("assignment", "ties", "memory"),
     [

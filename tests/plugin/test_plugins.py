@@ -92,6 +92,7 @@ def test_it_composes_without_import_and_no_other_hash_changes(make: Make) -> Non
     assert config.name != before and "hushed" not in sys.modules
 
 
+@pytest.mark.slow
 def test_it_is_imported_when_a_level_is_made(make: Make) -> None:
     with locate.plugins_in_use([make()]):
         section = compose.compose_config(["comm=hush"]).comm
@@ -99,6 +100,7 @@ def test_it_is_imported_when_a_level_is_made(make: Make) -> None:
             instantiate(section, in_features=3)
 
 
+@pytest.mark.slow
 def test_it_lies_as_deep_as_it_likes(make: Make) -> None:
     name = make("hushed.of.others")
     with locate.plugins_in_use([name]):
@@ -106,6 +108,7 @@ def test_it_lies_as_deep_as_it_likes(make: Make) -> None:
     assert "hushed" not in sys.modules
 
 
+@pytest.mark.slow
 def test_presets_of_a_plugin_are_presets(make: Make) -> None:
     preset = "# @package _global_\ndefaults:\n  - override /comm: hush\nseed: 5\n"
     name = make(**{"conf/experiment/quiet.yaml": preset})
@@ -164,6 +167,7 @@ def test_a_run_that_needs_a_plugin_names_it(make: Make, tmp_path: Path, capsys) 
     assert "hushed" not in sys.modules
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("room", "target"),
     [

@@ -55,6 +55,7 @@ def test_both_spellings_make_the_same_config(
     assert container(ours) == container(compose_config(overrides))
 
 
+@pytest.mark.slow
 @given(st.text(st.characters(exclude_categories=("Cs", "Cc")), max_size=12))
 def test_any_text_arrives_as_it_is(text: str) -> None:
     assume("${" not in text)

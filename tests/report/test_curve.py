@@ -38,6 +38,7 @@ def test_columns_of_one_thing_share_a_panel_and_the_result_comes_first(tmp_path)
     assert list(lines[1].get_ydata()) == [47.0, 47.0]
 
 
+@pytest.mark.slow
 def test_a_picture_is_written(tmp_path):
     (tmp_path / "metrics.csv").write_text(CSV)
     draw_curve(tmp_path / "metrics.csv", tmp_path / "curve.png", ORIGIN)

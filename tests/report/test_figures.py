@@ -93,6 +93,7 @@ def test_every_figure_is_written_as_svg_and_png(cfg, tmp_path, monkeypatch):
     assert figure.NAMES == tuple(figures.FIGURES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", ["compass", "distances", "global_map"])
 def test_what_is_no_square_around_the_robot_is_refused_by_figure_2(level):
     cfg = compose_config([f"observation={level}"])
@@ -105,6 +106,7 @@ def test_a_misspelt_figure_is_bad_input_that_lists_them(cfg):
         figure.main("paper1", cfg)
 
 
+@pytest.mark.slow
 def test_watch_plays_every_step_on_a_terminal_and_shows_the_end_in_a_file(cfg, monkeypatch):
     delays: list[float] = []
     screen, file = Terminal(), io.StringIO()

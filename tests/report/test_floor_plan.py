@@ -81,6 +81,7 @@ def test_a_large_plan_is_an_image_and_not_a_square_for_each_cell(tmp_path: Path)
     assert svg.stat().st_size < 1_000_000 and png.stat().st_size < 1_000_000
 
 
+@pytest.mark.slow
 def test_figure_houses_of_one_plan_is_that_plan_and_of_many_a_sheet() -> None:
     figure = draw_figure("houses", compose_config(["house=floorplan", "house.path=apartment"]))
     (axes,) = figure.axes

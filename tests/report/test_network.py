@@ -91,6 +91,7 @@ def test_one_other_cell_changes_figures_1_and_2(tmp_path):
     assert all(before != after for before, after in zip(*pictures, strict=True))
 
 
+@pytest.mark.slow
 def test_the_central_controller_values_joint_actions():
     _, texts = drawn("paper_4", "experiment=paper_central", "observation.view_size=7")
     assert "FCL\n17" in texts  # a value and 16 advantages

@@ -72,6 +72,7 @@ FIGURES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FIGURES)
 def test_no_legend_lies_over_a_line_and_grey_keeps_rows_apart(name: str) -> None:
     figure = FIGURES[name]()

@@ -57,6 +57,7 @@ def test_each_frame_shows_its_moment(tmp_path, rows, cols):
     assert [file.name for file in tmp_path.iterdir()] == ["replay.gif"]
 
 
+@pytest.mark.slow
 def test_a_large_one_leaves_out_moments_but_neither_the_first_nor_the_last(tmp_path):
     write_gif(tmp_path / "whole.gif", moments(20))
     limit = (tmp_path / "whole.gif").stat().st_size // 3

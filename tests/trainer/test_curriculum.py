@@ -85,6 +85,7 @@ def test_more_stages_than_houses_are_refused() -> None:
         Curriculum(4, 0.9, 500).check(env_of(3))
 
 
+@pytest.mark.slow
 def test_houses_stand_in_the_order_of_their_size_and_are_the_same_ones() -> None:
     cfg = compose_config(["house=mixture", "train_houses=60", "trainer.curriculum_stages=3"])
     plain = build.training_houses(compose_config(["house=mixture", "train_houses=60"]))

@@ -85,6 +85,7 @@ def uninterrupted(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_run_leaves_its_rows_and_weights_and_no_states(uninterrupted):
     rows = (uninterrupted / "metrics.csv").read_text().splitlines()
     columns = rows[0].split(",")
@@ -183,6 +184,7 @@ def test_an_evaluation_that_draws_random_numbers_changes_nothing(tmp_path, unint
     assert_same_results(tmp_path / "run", uninterrupted)
 
 
+@pytest.mark.slow
 def test_a_damaged_state_goes_back_to_the_one_before(tmp_path, uninterrupted, caplog):
     folder = tmp_path / "run"
     with pytest.raises(SystemExit):
@@ -196,6 +198,7 @@ def test_a_damaged_state_goes_back_to_the_one_before(tmp_path, uninterrupted, ca
     assert_same_results(folder, uninterrupted)
 
 
+@pytest.mark.slow
 def test_best_weights_are_those_of_the_best_evaluation(tmp_path):
     scores = iter([3.0, 1.0, 1.0, 2.0])
     seen = []
@@ -221,6 +224,7 @@ def test_blocks_must_fill_all_worlds(tmp_path):
         train(tmp_path / "run", frames_per_batch=50)
 
 
+@pytest.mark.slow
 def test_a_bad_reward_stops_the_run_before_it_is_saved(tmp_path):
     with pytest.raises(Diverged, match=r"frame 336: a reward is NaN or infinite"):
         train(tmp_path / "run", env=Probe(bad_reward_at=20))

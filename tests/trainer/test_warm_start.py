@@ -132,6 +132,7 @@ def test_a_planner_says_what_it_would_do_where_the_learner_goes(level: str) -> N
     assert (collected(env, start)[keys.DEMONSTRATION] == -1).all()
 
 
+@pytest.mark.slow
 def test_the_planner_acts_less_and_less_in_states_of_the_learner() -> None:
     _, env, start = shown("ippo", "env.num_envs=64", states="learner")
     for frames, share in ((0, 1.0), (25, 0.75), (75, 0.25)):
@@ -192,6 +193,7 @@ def test_rows_are_imitated_too(level: str) -> None:
     assert agent.update(learnt)["loss"].isfinite()
 
 
+@pytest.mark.slow
 def test_ppo_learns_by_its_own_loss_once_it_acts() -> None:
     agent, env, start = shown("ippo")
     for frames, measure in ((0, "imitation"), (100, "clip_fraction")):
@@ -200,6 +202,7 @@ def test_ppo_learns_by_its_own_loss_once_it_acts() -> None:
         assert measure in agent.update(agent.estimate(block).flatten())
 
 
+@pytest.mark.slow
 def test_rotated_frames_have_rotated_demonstrations() -> None:
     agent, env, start = shown("iql", "agent.augment=true")
     start.at(0)
@@ -258,6 +261,7 @@ def test_an_unknown_planner_is_refused_with_the_valid_names() -> None:
     check_imitate(compose_config(["trainer.imitate=spiral"]))
 
 
+@pytest.mark.slow
 def test_without_houses_no_planner_can_be_imitated(tmp_path) -> None:
     with pytest.raises(BadInput, match="^trainer.imitate=spiral: planners need houses"):
         check_imitate(compose_config(["+experiment=spread", "trainer.imitate=spiral"]))

@@ -42,6 +42,7 @@ def places(mask: Tensor) -> set[Place]:
     return {(row, col) for row, col in mask.nonzero().tolist()}
 
 
+@pytest.mark.slow
 @given(rows=SIDES, cols=SIDES, seed=st.integers(0, 10**6))
 @hypothesis_settings(max_examples=60, deadline=None)
 def test_walking_distances(rows: int, cols: int, seed: int) -> None:

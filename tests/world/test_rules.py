@@ -62,6 +62,7 @@ def test_without_decay_no_age_is_too_old() -> None:
     assert compose_config(["env.decay_steps=null"]).env.decay_steps is None
 
 
+@pytest.mark.slow
 def test_the_margin_is_handed_over_and_no_setting() -> None:
     with pytest.raises(BadInput, match="^env.margin: must be "):
         Rules(margin=0)
@@ -79,6 +80,7 @@ def test_a_config_gives_the_rules_one_key_each() -> None:
     assert rules.decay_steps == 9
 
 
+@pytest.mark.slow
 def test_instantiate_gathers_keys_and_parts_into_the_record() -> None:
     cfg = compose_config(["env.memory=merged", "env.num_envs=3", "house=open"])
     houses = draw_houses(instantiate(cfg.house), [0], 2)

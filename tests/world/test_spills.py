@@ -219,6 +219,7 @@ def test_a_saved_state_goes_on_as_it_would_have() -> None:
     assert (env.state.num_spilt > 3).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", ["bump", "touch4"])
 def test_a_gpus_path_gives_the_same_worlds(sensor: str, monkeypatch: pytest.MonkeyPatch) -> None:
     played = []

@@ -33,6 +33,7 @@ def test_together_the_others_stand_where_the_walk_to_the_first_is_shortest(n_age
         assert len(sides) == 4
 
 
+@pytest.mark.slow
 def test_a_world_alone_starts_as_it_does_among_others() -> None:
     settings = [*HOUSES, "env.n_agents=4", "env.starts=together", "seed=5"]
     env = make_env(settings)

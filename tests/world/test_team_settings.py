@@ -217,6 +217,7 @@ def test_an_env_refuses_a_list_of_another_length() -> None:
         CleaningEnv(HOUSES, rules, n_agents=2, num_envs=1, contact=Full().contact)
 
 
+@pytest.mark.slow
 def test_a_team_of_another_size_is_refused_for_a_checkpoint_with_a_list(tmp_path) -> None:
     settings = ["env.memory=private", "env.knowledge=[memorised,unknown]"]
     config = compose_config(settings)
@@ -229,6 +230,7 @@ def test_a_team_of_another_size_is_refused_for_a_checkpoint_with_a_list(tmp_path
     check_all(compose_for_policy([*chosen, "env.n_agents=4", "env.knowledge=memorised"]))
 
 
+@pytest.mark.slow
 def test_runs_from_before_these_keys_keep_their_hash() -> None:
     config = compose_config()
     before = OmegaConf.create(OmegaConf.to_container(config))
