@@ -133,7 +133,4 @@ def meet_(state: State, setup: Setup) -> None:
 
 
 def _entries(state: State, setup: Setup, reads: Sequence[Read]) -> Entries:
-    entries: Entries = {}
-    for read in reads:  # no comprehension: that is a function of its own, which is traced twice
-        entries |= read(state, setup)
-    return entries
+    return {key: value for read in reads for key, value in read(state, setup).items()}
