@@ -27,7 +27,8 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(RUN) pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
 	touch $@
 
-# One thread: as fast here as two, and it ends with the weights that the README's table is of.
+# One thread: as fast here as two, and, where the CPU has bfloat16, it ends with
+# the weights that the README's table is of.
 train: $(INSTALLED)
 	OMP_NUM_THREADS=1 $(RUN) marl_clean train +experiment=any_house
 
