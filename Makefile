@@ -3,7 +3,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DELETE_ON_ERROR:
-.PHONY: help setup train test test-fast lint docs benchmark clean
+.PHONY: help setup train test test-fast test-all lint docs benchmark clean
 
 PYTHON ?= python3.11
 VENV := .venv
@@ -12,8 +12,9 @@ RUN := $(VENV)/bin/python -m
 
 help:
 	@echo "make train       set up, train robots for any house, and evaluate them"
-	@echo "make test        set up, run the tests"
+	@echo "make test        set up, run the tests, but those that take long"
 	@echo "make test-fast   set up, run the quick tests, a few cases of each family"
+	@echo "make test-all    set up, run all tests"
 	@echo "make lint        set up, check format and types"
 	@echo "make docs        set up, build the pages into site/"
 	@echo "make benchmark   set up, measure speed"
@@ -37,10 +38,13 @@ train: $(INSTALLED)
 PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(RUN) pytest -n 2 --dist worksteal
 
 test: $(INSTALLED)
-	$(PYTEST)
+	$(PYTEST) -m "not long"
 
 test-fast: $(INSTALLED)
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -m "not slow and not long"
+
+test-all: $(INSTALLED)
+	$(PYTEST)
 
 $(VENV)/.installed-dev: $(INSTALLED)
 	$(RUN) pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'

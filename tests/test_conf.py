@@ -3,7 +3,7 @@
 import ast
 import importlib
 import re
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -46,13 +46,16 @@ ALONE = FLOOR["observation"]  # the floor whose rooms do not know each other
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 
-def imports(source: Path) -> Iterator[str]:
+@cache
+def imports(source: Path) -> list[str]:
     """The full names of what a file imports, inside functions too."""
+    dotted = []
     for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            dotted += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            dotted += [f"{node.module}.{alias.name}" for alias in node.names]
+    return dotted
 
 
 def floor_and_room(dotted: str) -> tuple[int, str]:
@@ -86,6 +89,7 @@ def test_keys_are_the_parameters_of_the_constructor(path: Path) -> None:
     assert set(section) - {"_target_"} == accepted - HANDED_OVER
 
 
+@cache
 def level_class(path: Path) -> type:
     module, _, name = yaml.safe_load(path.read_text())["_target_"].rpartition(".")
     return getattr(importlib.import_module(module), name)

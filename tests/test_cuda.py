@@ -154,7 +154,7 @@ def take_the_path_of_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spills, "worlds_to_spill_in", every_world)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("settings", [[], SPILLING], ids=["plain", "spills"])
 def test_nothing_else_is_read_from_a_step(
     settings: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -48,6 +48,7 @@ def run_episode(env: ParallelCleaning, seed: int | None, actions_seed: int = 0) 
     return seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extras", [{}, {"adjacency": True, "action_masks": True}])
 def test_pettingzoo_accepts_the_parallel_env(extras: dict[str, bool]) -> None:
     parallel_api_test(make(**extras), num_cycles=300)
@@ -161,6 +162,7 @@ def test_masked_actions_bump_into_no_wall_of_a_memorised_house() -> None:
         assert not env.world.state.bumped.any()
 
 
+@pytest.mark.slow
 def test_the_state_is_the_union_of_all_maps_as_large_as_the_largest_house() -> None:
     env = make("env.memory=private", "env.n_agents=3")
     run_episode(env, seed=0)

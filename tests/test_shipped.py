@@ -9,7 +9,7 @@ from marl_clean.evaluation.evaluator import evaluate
 from marl_clean.evaluation.records import means
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("run", "most_steps"),
     [("approach_2_frontier", 50), ("any_house", 110)],  # nearest_unknown needs 47 and 104

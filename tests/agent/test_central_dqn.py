@@ -65,6 +65,7 @@ def test_exploration_draws_joint_actions():
     assert torch.equal(decode_joint(td[keys.JOINT_ACTION], 2), td[keys.ACTION])
 
 
+@pytest.mark.slow
 def test_it_is_paid_exactly_the_sum_of_the_robots_rewards():
     env, agent = make("env.n_agents=4")
     td = env.rollout(20, break_when_any_done=False)[:, -1]
@@ -115,6 +116,7 @@ def test_six_robots_are_too_many():
         make("env.n_agents=6")
 
 
+@pytest.mark.slow
 def test_weights_of_two_robots_do_not_play_with_three(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     config = compose_config([*CENTRAL, "name=two"])

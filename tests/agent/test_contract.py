@@ -61,7 +61,7 @@ def batch_for(agent, count: int = 6, seed: int = 0) -> TensorDict:
     return batch.view(count, 3) if agent.unrolls else batch
 
 
-@family(("learner", "scheme"), fitting(), fast=[("iql", "plan"), ("ippo", "none")])
+@family(("learner", "scheme"), fitting(), fast=[("iql", "plan"), ("ippo", "none")], usual=16)
 def test_the_contract(learner: str, scheme: str) -> None:
     check_agent(learner, comm=scheme, others=world_for(scheme), precision="float32")
 
@@ -70,7 +70,7 @@ IN_A_ROW = [(learner, "encoder.memory=gru") for learner in LEARNERS if learner !
 IN_A_ROW += [("iql", "channel=delayed"), ("ippo", "channel=delayed")]  # rows as before, more keys
 
 
-@family(("learner", "memory"), IN_A_ROW, fast=1)
+@family(("learner", "memory"), IN_A_ROW, fast=1, usual=4)
 def test_the_contract_with_frames_in_a_row(learner: str, memory: str) -> None:
     check_agent(learner, others=[memory], precision="float32")
 

@@ -67,6 +67,7 @@ def test_returns_are_those_of_a_plain_loop(settings: tuple[str, ...]) -> None:
     torch.testing.assert_close(learnt[keys.VALUE_TARGET].squeeze(-1), returns(agent, block))
 
 
+@pytest.mark.slow
 def test_a_frame_goes_through_the_network_once_in_acting_and_once_behind_an_end() -> None:
     agent, block = played()
     counted = []

@@ -32,7 +32,7 @@ def shown(costs: list[Training]) -> str:
     return console.file.getvalue()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_presets_are_timed_interleaved_and_their_parts_add_up(monkeypatch) -> None:
     monkeypatch.setattr(training, "PRESETS", PRESETS)
     monkeypatch.setattr(training, "peak_memory", lambda overrides: 300 * MIB)
@@ -56,7 +56,7 @@ def test_a_replay_is_filled(tmp_path: Path) -> None:
     assert len(session.loop.replay) == 300
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_memory_is_that_of_a_process_of_its_own() -> None:
     held = bytearray(2**31)
     held[::4096] = bytes(2**19)  # every page is in use: the asking process has more

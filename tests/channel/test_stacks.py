@@ -98,7 +98,7 @@ def test_a_quantised_number_says_its_level_and_nothing_else(bits: int, limit: fl
     assert torch.equal(again, heard)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_runs_of_another_order_have_another_name() -> None:
     stacks = ["lossy,delayed", "delayed,lossy", "delayed,lossy,noisy", "delayed,noisy,lossy"]
     assert len({compose_config([f"channel=[{stack}]"]).name for stack in stacks}) == 4

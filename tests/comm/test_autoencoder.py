@@ -13,6 +13,7 @@ from marl_clean.evaluation.rollouts import first_frame, rollout_episodes
 from marl_clean.world.patches import CLEANED, NEVER_CLEANED, NUM_CLASSES, own_patches
 from marl_clean.world.shared_map import is_unknown
 from tests.comm.contract import make
+from tests.families import family
 
 SETTINGS = ["comm=autoencoder", "env.memory=private", "topology=full", "env.num_envs=4"]
 SETTINGS += ["comm.sure=0.3", "comm.message_dim=16"]  # untrained, it is sure of nothing
@@ -49,6 +50,7 @@ def layers(part: torch.nn.Module, x: Tensor) -> Tensor:
     return part.direct.weight @ x + part.direct.bias + last.weight @ hidden
 
 
+@pytest.mark.slow
 def test_a_code_learns_what_lies_around_robots() -> None:
     """Patches of one kind of two: one bit tells them apart."""
     comm = make("autoencoder", message_dim=1).train()
@@ -69,10 +71,11 @@ def talking(*further: str) -> tuple[TransformedEnv, torch.nn.Module]:
     return env, build.make_agent(cfg, env).policy()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
+@family(
     ("channel", "settings", "heard"),
     [("lossy", ["channel.lossy.loss=1.0"], 0), ("quantised", [], 1), ("lossy", [], 0.8)],
+    fast=[],
+    usual=1,
 )
 def test_it_is_read_as_it_arrives(channel: str, settings: list[str], heard: float) -> None:
     def told(*over: str) -> tuple[Tensor, Tensor]:
@@ -87,7 +90,7 @@ def test_it_is_read_as_it_arrives(channel: str, settings: list[str], heard: floa
     assert not (edges & ~contact).any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_was_read_is_seen_where_the_own_map_is_blank() -> None:
     env, policy = talking("env.stuck_after=null")
     td, more = env.reset(), 0
@@ -100,7 +103,7 @@ def test_what_was_read_is_seen_where_the_own_map_is_blank() -> None:
     assert more > 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_loop_hands_over_what_was_read() -> None:
     env, policy = talking()
     check_env_specs(env)
@@ -133,7 +136,7 @@ def seen_in(frames: TensorDictBase) -> Tensor:
     return frames[keys.OBSERVATION]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_robots_that_go_on_alone_hand_over_what_they_read_now() -> None:
     """Worlds end one after another: what the policy writes for the others must not be old."""
     env, policy = talking("house.rows=[5,9]", "house.cols=[5,6]", "house=open", "env.n_agents=2")

@@ -16,6 +16,7 @@ from marl_clean.trainer.on_policy import OnPolicy
 from tests.agent.parts import make_agent, make_learner
 from tests.comm.contract import LEVELS, make
 from tests.comm.doors import doors_for, share_right
+from tests.families import family
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread", "unchecked")]
 
@@ -31,6 +32,7 @@ FROM_MAPS = ["autoencoder", "target"]  # there are none
 TALKING = [level for level, _ in LEVELS if level not in (*SILENT, *FROM_MAPS)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("learner", ["vdn", "qmix"])
 def test_mixers_learn_to_talk_too(tmp_path, learner):
     pace = CAREFUL if learner == "qmix" else QUICK
@@ -39,6 +41,7 @@ def test_mixers_learn_to_talk_too(tmp_path, learner):
     assert share_right(agent, hold=1) > 0.95
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("learner", "comm"), [("ippo", "plan"), ("mappo", "commnet")])
 def test_policies_that_draw_learn_to_talk_too(tmp_path, learner, comm):
     agent = make_learner(learner, comm, gamma=0.0, lr=5e-3, lr_end=5e-3)
@@ -46,18 +49,21 @@ def test_policies_that_draw_learn_to_talk_too(tmp_path, learner, comm):
     assert share_right(agent, hold=1) > 0.95
 
 
+@pytest.mark.long
 def test_lambda_returns_of_the_last_block_teach_to_talk_too(tmp_path):
     agent = make_learner("pqn", "plan", gamma=0.0, lr=3e-3, lr_end=3e-3, annealing_fraction=0.6)
     train_on_policy(agent, tmp_path, hold=1, worlds=32, frames=8_192)  # more would take more frames
     assert share_right(agent, hold=1) > 0.95
 
 
+@pytest.mark.long
 def test_a_policy_that_draws_guesses_in_silence(tmp_path):
     agent = make_learner("ippo", "none", gamma=0.0, lr=5e-3, lr_end=5e-3)
     train_on_policy(agent, tmp_path, hold=1)
     assert 0.4 <= share_right(agent, hold=1) <= 0.6
 
 
+@pytest.mark.long
 def test_a_policy_that_draws_hears_late_messages(tmp_path):
     channels = {"delayed": Delayed(1, False, make("commnet", hidden=24).message_dims)}
     agent = make_learner("ippo", "commnet", gamma=0.0, lr=5e-3, lr_end=5e-3, channels=channels)
@@ -132,19 +138,20 @@ def train_off_policy(
     run(trainer, agent, folder, doors_for(agent, hold, worlds), hold)
 
 
-@pytest.mark.parametrize("comm", TALKING)
+@family("comm", TALKING, fast=[], usual=["commnet", "dial"])
 def test_who_talks_opens_the_right_door(tmp_path, comm):
     scheme = make(comm)
     hold = 1 + max(scheme.delay_steps, bool(scheme.remembers))  # what is remembered is sent later
     assert right_after_training(tmp_path, comm, hold) > 0.95
 
 
-@pytest.mark.parametrize("comm", SILENT)
+@family("comm", SILENT, fast=[], usual=["zeroed"])
 def test_who_is_silent_guesses(tmp_path, comm):
     """Even at a door that waits, where whatever crosses within a step or a step late would help."""
     assert 0.4 <= right_after_training(tmp_path, comm, hold=2) <= 0.6
 
 
+@pytest.mark.long
 def test_a_message_that_comes_a_step_late_helps_only_if_the_door_waits(tmp_path):
     late = {"steps": 1, "random": False, "message_dims": make("commnet", hidden=24).message_dims}
     for hold, right in ((1, False), (2, True)):

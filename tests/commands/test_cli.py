@@ -142,7 +142,7 @@ def test_compiling_from_a_path_with_a_space_is_bad_input(
     assert "env.compile=true: torch cannot compile" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_all_bad_input_is_met_before_torch_is_imported(place: Path) -> None:
     result = subprocess.run(
         [sys.executable, "-m", bad_commands.__name__],
@@ -183,7 +183,7 @@ def trained(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 SWEEP = ["train", "-m", "hydra/launcher=basic"]  # in this process, where training is a stand-in
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_sweep_gives_every_combination_its_folder(place: Path, trained: list[str]) -> None:
     settings = ["seed=1,2", "comm=plan,none", "evaluation.epsilon=choice(0.1)"]
     assert cli.main([*SWEEP, *settings]) == 0
@@ -198,7 +198,7 @@ def test_a_named_sweep_is_one_folder_of_jobs(place: Path, trained: list[str]) ->
     assert len(trained) == 3 and files_in(place / "runs") == {"lamp"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_preset_has_a_sweep_and_settings_override_it_key_by_key(
     place: Path, trained: list[str]
 ) -> None:
@@ -219,7 +219,7 @@ def test_a_preset_that_sweeps_is_one_run_without_m(place: Path, trained: list[st
     assert name.startswith("reward_sharing-")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("preset", SWEEPING)
 def test_every_sweep_of_a_preset_is_made_of_distinct_sound_jobs(preset: str) -> None:
     swept = sweep_of(conf_folder() / "experiment" / f"{preset}.yaml")

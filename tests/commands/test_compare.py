@@ -49,7 +49,7 @@ def write_run(folder, overrides: list[str], times: list[int | None], first_house
     return str(folder)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_seeds_are_pooled_and_other_settings_are_not(tmp_path) -> None:
     runs = [
         write_run(tmp_path / "plan-s0", ["seed=0"], [40, 60]),
@@ -70,7 +70,7 @@ def test_seeds_are_pooled_and_other_settings_are_not(tmp_path) -> None:
     assert json.loads((tmp_path / "out.json").read_text()) == rows
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_is_no_finished_run_is_left_out_in_one_line(tmp_path, caplog) -> None:
     good = write_run(tmp_path / "good", [], [40, 60])
     half = tmp_path / "half"
@@ -84,7 +84,7 @@ def test_what_is_no_finished_run_is_left_out_in_one_line(tmp_path, caplog) -> No
     assert "half" in caplog.messages[0] and "foreign" in caplog.messages[1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_runs_on_other_houses_stand_in_a_table_of_their_own(tmp_path) -> None:
     runs = [
         write_run(tmp_path / "a-s0", ["seed=0"], [40, 60]),
@@ -94,7 +94,7 @@ def test_runs_on_other_houses_stand_in_a_table_of_their_own(tmp_path) -> None:
     assert [row["policy"] for row in rows] == ["a-s0", "nearest_unknown", "a-s1", "nearest_unknown"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_other_rules_of_the_world_are_another_table_with_their_own_planner(tmp_path) -> None:
     runs = [
         write_run(tmp_path / "shared", [], [40, 60]),
@@ -140,7 +140,7 @@ def test_differences_are_paired_by_seed_and_house_and_corrected(tmp_path) -> Non
     assert plan["finished"]["mean"] == 0 and plan["finished"]["p"] == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_only_seeds_that_both_have_are_paired_and_the_reference_can_be_chosen(tmp_path) -> None:
     runs = [
         write_run(tmp_path / "plan-s0", ["seed=0"], [40, 60]),
@@ -318,7 +318,7 @@ def test_a_silent_row_is_the_reference_wherever_it_stands(tmp_path) -> None:
     assert {difference["reference"] for difference in paired} == {"reward=team comm=none"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_figures_are_drawn_with_every_seed(tmp_path) -> None:
     runs = [
         write_run(tmp_path / "plan-s0", ["seed=0"], [40, 60]),

@@ -61,7 +61,7 @@ def test_a_wrong_setting_trains_nothing(setting, message, tmp_path, monkeypatch)
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_comparison_trains_what_it_lacks_and_names_its_budget(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(train, "draw", lambda config, folder: None)  # a run's own pictures

@@ -117,6 +117,7 @@ def test_a_run_in_several_sets_of_houses_learns_once() -> None:
     assert curves["row"]["T_90"].seeds.tolist() == [1]
 
 
+@pytest.mark.slow
 def test_a_damaged_log_of_training_is_left_out_in_one_line(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

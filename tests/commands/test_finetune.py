@@ -68,6 +68,7 @@ def place(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     return tmp_path
 
 
+@pytest.mark.long
 def test_the_run_brings_its_config_and_the_preset_its_own(place: Path) -> None:
     config = compose_for_training(AT_HOME)
     assert config.observation._target_.endswith("Frontier")
@@ -176,6 +177,7 @@ class Killed(BaseException):
     """Ends a run without a chance to save, as kill -9 does."""
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("unmeasured")
 def test_a_killed_run_resumes_from_its_state_and_not_from_the_start(
     place: Path, monkeypatch: pytest.MonkeyPatch
@@ -258,6 +260,7 @@ def test_learning_may_change_where_the_network_stays(place: Path) -> None:
     assert config.reward._target_.endswith("Team")
 
 
+@pytest.mark.long
 def test_a_sweep_starts_every_job_from_the_run(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

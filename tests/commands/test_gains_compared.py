@@ -99,7 +99,7 @@ def test_gains_are_in_table_json_csv_and_latex(runs: dict[str, list[str]], tmp_p
     assert r"recovered T\_90" in latex and "1 of 2 [0.01, 0.99]" in latex
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rows_and_planners_are_named_by_their_labels(runs: dict[str, list[str]]) -> None:
     arms = [*runs["plan"], *runs["silent"]]
     table = marl_clean.compare(*arms, silent="comm=none", oracle="nearest_unknown")
@@ -146,7 +146,7 @@ def test_seeds_without_a_twin_are_named(
     assert "seeds without a twin in comm=none: comm=plan: 0" in caplog.messages
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_cannot_be_paired_is_one_line(runs: dict[str, list[str]], tmp_path: Path) -> None:
     arms = [*runs["plan"], *runs["silent"]]
     with pytest.raises(BadInput, match=r"--oracle comm=tarmac: no such row, and no folder"):

@@ -136,14 +136,14 @@ def test_a_floor_plan_has_no_sides(tmp_path: Path) -> None:
         make_plan([*settings, "headroom.sides=[8]"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_default_grid_has_sixty_cells() -> None:
     cells = {play.cell for play in make_plan([]).plays if play.cell.reach is not None}
     assert len(cells) == 60
     assert all(play.config.evaluation.houses == 40 for play in make_plan([]).plays[:1])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_scheme_speaks_between_planners() -> None:
     """`comm=delta` would tell private maps what others have cleaned."""
     spoken = make_plan([*SMALL, "comm=delta"]).plays[0]

@@ -36,6 +36,7 @@ def test_training_a_run_twice_at_once_names_the_process_before_torch(place, caps
     assert [path.name for path in Path("runs/mine").iterdir()] == [LOCK]
 
 
+@pytest.mark.slow
 def test_training_holds_the_lock_and_bad_input_leaves_no_folder(place, monkeypatch):
     config = compose_config(["name=mine"])
     with locked(Path("runs/mine")), pytest.raises(Held, match=f"process {os.getpid()}"):

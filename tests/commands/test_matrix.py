@@ -50,7 +50,7 @@ def runs(tmp_path_factory):
     return place
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_row_a_training_channel_and_a_column_a_test_channel(runs, monkeypatch, capsys):
     monkeypatch.chdir(runs)
     folders = sorted(str(path) for path in (runs / "runs" / "x").iterdir())
@@ -73,7 +73,7 @@ def test_a_row_a_training_channel_and_a_column_a_test_channel(runs, monkeypatch,
     assert sorted(map(str, home["houses"])) == sorted(map(str, stored))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_channels_to_measure_over_can_be_chosen(runs, monkeypatch):
     monkeypatch.chdir(runs)
     folder = str(next((runs / "runs" / "x").iterdir()))
@@ -84,6 +84,7 @@ def test_channels_to_measure_over_can_be_chosen(runs, monkeypatch):
     assert all(len(cell["houses"]) == 2 for cell in cells)
 
 
+@pytest.mark.slow
 def test_the_same_channels_in_another_order_are_another_column():
     stacks = ["lossy,delayed", "delayed,lossy", "lossy,delayed"]
     configs = [compose_config([f"channel=[{stack}]"]) for stack in stacks]

@@ -37,6 +37,7 @@ def test_the_gap_is_one_minus_the_mean_ratio_to_the_oracles_time(runs) -> None:
     assert "gap to oracle" in console.export_text()
 
 
+@pytest.mark.slow
 def test_the_page_shows_it_where_an_oracle_is_given(runs, tmp_path: Path) -> None:
     own, told = runs
     with_gap = report.main(own, tmp_path / "a.html", QUIET, oracle=told).read_text()

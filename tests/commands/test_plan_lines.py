@@ -93,6 +93,7 @@ def test_training_reports_the_plans_it_is_measured_on_once_each(
     assert [line.partition(":")[0] for line in lines] == ["flat.yaml", "apartment"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("settings", "limit"), [([], LIMIT), (["env.max_steps=9"], 9)])
 def test_the_limit_in_the_line_is_that_of_the_episodes(
     settings: list[str], limit: int, plan: list[str], capfd: pytest.CaptureFixture[str]
@@ -102,7 +103,7 @@ def test_the_limit_in_the_line_is_that_of_the_episodes(
     assert capfd.readouterr().err.endswith(f"; 2 starts of at most {limit} steps\n")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_entry_is_written_before_the_next_policy_is_measured(tmp_path: Path) -> None:
     """An interruption in the third policy leaves the two before it in the file."""
     settings = ["house=open", "house.rows=[3,3]", "house.cols=[3,3]", "evaluation.houses=2"]

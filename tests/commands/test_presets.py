@@ -104,7 +104,7 @@ def only_load(config: DictConfig, folder: Path) -> list[Entry]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", EXPERIMENTS)
+@family("preset", EXPERIMENTS, usual=["any_house", "paper_proximity", "quick"], fast=[])
 def test_a_preset_trains_and_measures(
     preset: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
@@ -183,7 +183,7 @@ def learners_and_schemes() -> list[tuple[str, str]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("learner", "scheme"), learners_and_schemes())
+@family(("learner", "scheme"), learners_and_schemes(), usual=3, fast=[])
 def test_every_learner_and_scheme_trains_for_any_house(
     learner: str, scheme: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

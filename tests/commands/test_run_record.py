@@ -173,7 +173,7 @@ def test_a_full_disk_stops_no_run(
     assert "No space left on device" in caplog.text
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("unchecked")
 def test_training_records_itself_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

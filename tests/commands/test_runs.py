@@ -86,6 +86,7 @@ def test_clean_removes_states_of_finished_runs_after_asking(monkeypatch, capsys)
     assert cli.main(["runs", "--clean"]) == 0
 
 
+@pytest.mark.slow
 def test_a_damaged_run_keeps_its_states(capsys):
     state = add_state("runs/quick-00000001")
     [weights] = Path("runs/quick-00000001").glob("checkpoints/final-*/tensors.safetensors")
@@ -95,7 +96,7 @@ def test_a_damaged_run_keeps_its_states(capsys):
     assert state.exists()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_thousand_runs_are_listed_in_seconds():
     finished = Path("runs/quick-00000001")
     for number in range(1000):

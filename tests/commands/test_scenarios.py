@@ -12,6 +12,7 @@ from marl_clean.config.compose import compose_config
 from marl_clean.config.fitting import check_fit
 from marl_clean.config.levels import conf_folder
 from marl_clean.config.presets import study_of
+from tests.families import family
 
 STUDIES = {
     path.stem: study
@@ -36,7 +37,7 @@ def composed(name: str, arm: str) -> DictConfig:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", STUDIES)
+@family("name", STUDIES, fast=[], usual=2)
 def test_every_arm_of_a_study_fits_and_rules_name_arms(name: str) -> None:
     study = STUDIES[name]
     for arm in study["arms"]:
@@ -65,7 +66,7 @@ def test_controls_and_oracles_differ_from_the_others_in_nothing_else(name: str) 
     assert oracle["comm"] == silent["comm"] and oracle["env"] != silent["env"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["right_of_way", "spill_alarm"])  # the others differ in less
 def test_a_scenario_trains(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

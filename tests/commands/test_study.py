@@ -128,7 +128,7 @@ def verdicts(folder: Path = FOLDER) -> dict[str, Outcome]:
     return {v.rule.name: v.outcome for v in judge(frozen, runs_of(frozen))}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_study_may_be_a_file_anywhere(trained, tmp_path):
     (tmp_path / "elsewhere").mkdir()
     path = tmp_path / "elsewhere" / "delay.yaml"
@@ -193,7 +193,7 @@ def test_a_study_is_run_and_its_rules_are_decided(trained, monkeypatch):
     assert made_by.sub("", Path("page.html").read_text()) == made_by.sub("", page)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_failed_seed_stays_and_decides_nothing(trained, monkeypatch):
     code, out = run(monkeypatch, changed(seeds=[1, 13, 2]))
     assert code == 1 and "4 finished, 2 failed" in out
@@ -206,7 +206,7 @@ def test_a_failed_seed_stays_and_decides_nothing(trained, monkeypatch):
     assert first.seeds == [1, 2] and first.effect.value == pytest.approx(0.8, abs=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_runs_that_are_missing_leave_the_rest(studied):
     for name in ("plan-s1", "plan-s2", "plan-s3"):
         (FOLDER / name).rename(FOLDER.parent / name)
@@ -243,7 +243,7 @@ CHANGES: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_changed_study_is_one_line(studied, monkeypatch):
     before = (FOLDER / FROZEN).read_bytes()
     for keys, named in CHANGES:
@@ -321,7 +321,7 @@ def test_bad_studies_are_one_line_and_nothing_is_run(keys, named, trained, monke
     assert not trained and not list(Path().iterdir())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_arm_may_start_from_a_preset_of_its_own(trained, monkeypatch):
     monkeypatch.setitem(MEANS, "own", 500)
     arms = {"plan": [], "own": ["experiment=paper_proximity", "house=apartment"]}
@@ -332,7 +332,7 @@ def test_an_arm_may_start_from_a_preset_of_its_own(trained, monkeypatch):
     assert config["house"]["path"] == "apartment" and verdicts() == {"r": Outcome.MET}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_study_on_the_command_line_may_be_shorter(trained, monkeypatch):
     short = changed(seeds=[1])
     run(monkeypatch, short, "budget=smoke", "name=try")
@@ -375,7 +375,7 @@ def test_shipped_studies_are_valid():
             assert all(rule.says for rule in rules)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_oracle_is_screened_first_and_shares_are_recovered_from_it(trained, monkeypatch):
     """Where all share a map, merged maps tell nobody anything new."""
     monkeypatch.setattr(study_screen, "HOUSES", 10)
@@ -394,7 +394,7 @@ def test_an_oracle_is_screened_first_and_shares_are_recovered_from_it(trained, m
     assert code == 0 and "nothing to win" not in out  # it is frozen
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_oracle_that_gains_is_no_news(trained, monkeypatch):
     monkeypatch.setattr(study_screen, "HOUSES", 20)
     arms = {"silent": ["env.memory=private"], "oracle": ["env.memory=merged", "topology=full"]}

@@ -49,7 +49,7 @@ def run(*settings: str) -> tuple[int, str]:
     return code, out.getvalue()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_failed_job_is_named_and_tried_again_and_no_other_is(trained, capsys):
     code, table = run("seed=1,13,2")
     assert (code, trained) == (1, [1, 13, 2])
@@ -68,7 +68,7 @@ def test_a_failed_job_is_named_and_tried_again_and_no_other_is(trained, capsys):
     assert (again, trained) == (1, [1, 13, 2, 13])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_result_that_does_not_verify_is_made_again(trained):
     assert run("seed=1,2,3")[0] == 0
     torn, flipped, kept = sorted(Path("runs").iterdir())
@@ -118,6 +118,7 @@ def test_a_worker_that_is_killed_is_replaced_but_not_for_ever(trained, monkeypat
         run("seed=3")
 
 
+@pytest.mark.slow
 def test_joblib_is_the_default_for_several_jobs_on_several_cores(monkeypatch):
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason="extra `sweep`")
     import joblib

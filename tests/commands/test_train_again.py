@@ -15,7 +15,7 @@ RUN = (
 ).split()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("unchecked")
 def test_a_torn_evaluation_is_measured_again_and_another_version_is_left(
     tmp_path: Path,

@@ -259,6 +259,7 @@ def test_python_gets_the_trials(trainings) -> None:
         marl_clean.tune([LR], trial=3)
 
 
+@pytest.mark.slow
 def test_without_optuna_one_line_says_what_to_install(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(tune, "is_installed", lambda name: False)

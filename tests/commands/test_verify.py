@@ -12,6 +12,7 @@ from marl_clean.commands import made_with, train, verify
 from marl_clean.commands.run_record import RECORD
 from marl_clean.errors import BadInput
 from marl_clean.trainer._first_updates import BLOCKS, FILE, FirstUpdates, digest_of, read
+from tests.families import family
 
 TINY = (
     "train name=run trainer.total_frames=512 trainer.frames_per_batch=64 evaluation.houses=2"
@@ -32,7 +33,7 @@ def said() -> tuple[int, str]:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("unchecked", "one_thread")
-@pytest.mark.parametrize("learner", LEARNERS)
+@family("learner", LEARNERS, fast=[], usual=1)
 def test_a_run_is_repeated(learner: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(train, "draw", lambda config, folder: None)

@@ -158,6 +158,7 @@ def test_of_two_problems_that_of_an_overridden_key_is_named() -> None:
     assert refusal("observation.view_size=wrong").startswith("observation.view_size")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("override", ["experiment={}", "+experiment={}"])
 def test_a_preset_may_have_a_plus_or_not(override: str) -> None:
     preset = sorted((levels.conf_folder() / "experiment").glob("*.yaml"))[0].stem
@@ -224,6 +225,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_checkpoint_brings_its_config_and_settings_go_on_top(run: Path) -> None:
     config = compose_for_policy(["checkpoint=mine", "house=open", "house.rows=[3,7]", "seed=5"])
     assert (config.name, config.env.n_agents, config.seed) == ("mine", 3, 5)
@@ -288,6 +290,7 @@ def test_an_untrusted_config_is_refused(run: Path, text: str, words: str) -> Non
     assert str(caught.value).startswith(str(file))
 
 
+@pytest.mark.slow
 def test_a_name_is_not_used_for_two_configs(run: Path) -> None:
     check_same_run(compose_config(["name=mine", "env.n_agents=3", "device=cuda"]), run)
     with pytest.raises(BadInput, match="env.n_agents=3, not 2"):

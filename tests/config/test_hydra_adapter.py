@@ -21,6 +21,7 @@ SETTINGS = [
 ]
 
 
+@pytest.mark.slow
 def test_values_are_set_as_hydra_sets_them() -> None:
     parsed = parse_overrides(SETTINGS)
     wanted = hydra_adapter._by_hydra(SETTINGS)

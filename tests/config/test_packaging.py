@@ -55,7 +55,7 @@ def test_the_wheel_carries_its_own_configs(site: Path) -> None:
     assert where_conf_is(site) == site / "marl_clean" / "conf"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_wheel_carries_the_trained_runs(site: Path, tmp_path: Path) -> None:
     """Nothing beside it: `marl-clean evaluate checkpoint=NAME` works from any folder."""
     ours = {path.relative_to(ROOT) for path in (ROOT / "weights").rglob("*") if path.is_file()}

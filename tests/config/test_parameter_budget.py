@@ -27,7 +27,7 @@ def size(agent) -> int:
     return sum(weight.numel() for weight in agent.network.parameters())
 
 
-@family("comm", rooms()["comm"], fast=["plan"])
+@family("comm", rooms()["comm"], fast=["plan"], usual=6)
 def test_every_scheme_fills_the_budget_and_does_not_exceed_it(comm: str) -> None:
     scheme = [f"comm={comm}", *world_for(comm)]
     agent = learner(*scheme, f"parameter_budget={BUDGET}")
@@ -67,6 +67,7 @@ def test_what_a_channel_learns_is_not_counted() -> None:
     assert size(late) > size(perfect)
 
 
+@pytest.mark.slow
 def test_a_budget_that_allows_no_network_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -74,7 +74,7 @@ def test_its_commands_compose() -> None:
         compose_config([re.sub(r",.*", "", setting) for setting in settings])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("unchecked")
 def test_its_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     [program] = re.findall(r"```python\n(.*?)```", section("One minute"), re.S)

@@ -40,7 +40,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_builds_without_a_warning(site: Path) -> None:
     assert {path.stem for path in PAGES} <= {path.stem for path in site.glob("*.html")}
     assert not list(site.rglob("*.py"))

@@ -33,7 +33,7 @@ def config(*settings: str):
     return cfg
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(case=cases())
 @hypothesis_settings(max_examples=30, deadline=None)
 def test_every_mask_of_random_episodes_is_the_reference(case: Case) -> None:
@@ -83,6 +83,7 @@ def test_a_robot_between_known_walls_has_no_action_masked() -> None:
     assert env.transform[2].read(env.base_env.state, env.base_env.setup)[keys.ACTION_MASK].all()
 
 
+@pytest.mark.slow
 def test_a_policy_that_keeps_to_the_mask_bumps_into_no_wall_of_a_memorised_house() -> None:
     env = build.make_env(config("env.knowledge=memorised"))
     tensordict = env.reset()
@@ -98,6 +99,7 @@ def test_without_the_setting_there_is_no_mask() -> None:
     assert keys.ACTION_MASK not in env.observation_spec.keys(True, True)
 
 
+@pytest.mark.slow
 def test_a_mask_where_there_are_no_walls_is_refused() -> None:
     cfg = compose_config(["env=pettingzoo", "encoder=mlp", "topology=full", "agent.augment=false"])
     check_fit(cfg)

@@ -57,7 +57,7 @@ def test_specs_hold(overrides: list[str]) -> None:
     assert rollout[keys.OBSERVATION].shape == (6, 50, 3, 1, 15, 15)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("overrides", READINGS, ids=" ".join)
 def test_equal_seeds_give_equal_episodes_and_other_seeds_others(overrides: list[str]) -> None:
@@ -199,7 +199,7 @@ def test_touch_knows_the_four_neighbours_at_once() -> None:
     assert record.tolist() == [[0.0, -1.0, 0.0], [-1.0, 1.0, 0.5], [0.0, -1.0, 0.0]]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_compiled_env_steps_as_a_plain_one_and_keeps_its_maps(run_script):
     run_script("tests.env.compiled")
 

@@ -54,6 +54,7 @@ def test_leaders_and_bits_are_all_drawn_and_each_world_alone_is_the_same() -> No
         assert torch.equal(base.reset()[keys.OBSERVATION][0], seen[index])
 
 
+@pytest.mark.slow
 def test_a_saved_state_continues_in_the_middle_of_an_episode() -> None:
     env, other = (make_env([*PROBE, "env.num_envs=6"]).base_env for _ in range(2))
     env.set_seed(2)
@@ -82,7 +83,7 @@ def test_a_leader_needs_a_follower() -> None:
     [
         (["comm=commnet"], True),
         (["comm=commnet", "channel=self_send"], False),
-        (["comm=commnet", "channel=constant"], False),
+        pytest.param(["comm=commnet", "channel=constant"], False, marks=pytest.mark.long),
     ],
 )
 def test_messages_solve_it_and_controls_do_not(settings, solves, tmp_path, monkeypatch) -> None:

@@ -271,7 +271,7 @@ def train(folder: Path, *overrides: str) -> list[dict[str, Any]]:
     return command.main(cfg, folder, Console(quiet=True))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("comm", ["plan", "none"])
 def test_a_run_trains_measures_and_draws(tmp_path: Path, comm: str) -> None:
@@ -296,7 +296,7 @@ def test_a_run_trains_measures_and_draws(tmp_path: Path, comm: str) -> None:
     assert compare.main([str(folder)], console=table) == entries
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_resumed_run_begins_new_episodes(
     tmp_path: Path,
     copies: dict[str, Any],

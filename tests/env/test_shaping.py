@@ -110,6 +110,7 @@ def test_machine_code_and_tensors_search_alike(memory: str) -> None:
     assert len(seen) > 3
 
 
+@pytest.mark.slow
 def test_evaluation_does_not_compute_it() -> None:
     cfg = compose_config(SHAPED)
     env = held_out_env(cfg, build.held_out_houses(cfg, "validation", 3), "validation", 3)

@@ -12,6 +12,7 @@ from marl_clean.config.compose import compose_config
 from marl_clean.config.levels import rooms
 from marl_clean.env.transformed import TransformedWorlds
 from tests.env.resets import count_short_resets
+from tests.families import family
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -73,7 +74,7 @@ def assert_same(ours: TensorDictBase, theirs: TensorDictBase) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", CASES)
+@family("case", CASES, fast=[], usual=8)
 def test_steps_and_resets_are_torchrls(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     (env, carries), (reference, _) = make(CASES[case]), make(CASES[case])
     assert type(env) is TransformedWorlds
@@ -112,6 +113,7 @@ def test_what_was_recorded_does_not_change_later() -> None:
         assert_same(frame, copy)
 
 
+@pytest.mark.slow
 def test_with_other_transforms_torchrls_method_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(TransformedWorlds, "begin_anew", lambda *arguments: pytest.fail("direct"))
     env, _ = make(SMALL)

@@ -28,6 +28,7 @@ from marl_clean.evaluation.interventions import (
 )
 from marl_clean.evaluation.listening import differences_of, listening
 from marl_clean.evaluation.records import make_entry
+from tests.families import family
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -140,7 +141,7 @@ PLAYED += [(name, comm) for name in LOOKING for comm in ("plan", "commnet", "dia
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "comm"), PLAYED)
+@family(("name", "comm"), PLAYED, fast=[], usual=9)
 def test_interventions_work_with_schemes(name, comm):
     cfg, policy = policy_of(f"comm={comm}")
     result = played(cfg, intervened(policy, INTERVENTIONS[name]), count=3)
@@ -217,7 +218,7 @@ def test_cic_of_a_robot_that_obeys_messages_is_their_entropy():
     assert result["cic"].item() == pytest.approx(0, abs=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_robots_without_contact_are_not_counted():
     cfg, policy = policy_of("topology=none")
     result = listening(cfg, policy, count=3, epsilon=0.1)
@@ -227,6 +228,7 @@ def test_robots_without_contact_are_not_counted():
     assert result["zero_moved"]["mean"] > 0 and result["cic"]["mean"] > 0
 
 
+@pytest.mark.slow
 def test_names():
     assert named("all") == list(INTERVENTIONS)
     assert named("[zero,shut,zero]") == ["zero", "shut"]

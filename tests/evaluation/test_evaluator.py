@@ -106,6 +106,7 @@ def test_the_network_does_not_act_in_finished_episodes_and_records_are_the_same(
     assert run(long, Spread(), epsilon=0.5) == records
 
 
+@pytest.mark.slow
 def test_messages_are_counted_only_while_an_episode_runs(cfg):
     for record in run(cfg):
         assert record["bits"] == pytest.approx(32 * record["messages"])

@@ -79,7 +79,7 @@ MEASURED = [
 MEASURED += [(1, False, Memory.PRIVATE, 0), (3, False, Memory.SHARED, 3)]  # T_certify alone lacks
 
 
-@family(("n_agents", "certify", "memory", "spilling"), MEASURED, fast=MEASURED[4:])
+@family(("n_agents", "certify", "memory", "spilling"), MEASURED, fast=MEASURED[8:])
 def test_random_episodes_are_measured_as_by_the_plain_world(n_agents, certify, memory, spilling):
     env = env_of(
         houses_of(*HOUSES),
@@ -207,6 +207,7 @@ def test_certainty_takes_longer_than_cleaning_and_changes_no_other_measure():
     assert {name: sure[name] for name in plain} == plain
 
 
+@pytest.mark.slow
 def test_moving_furniture_is_measured_as_in_the_plain_world_and_has_no_bounds():
     picture = "..... .11.. ....2 .3..."
     env = env_of(houses_of(picture), furniture_moves_per_episode=30, max_steps=150, seed=2)

@@ -56,6 +56,7 @@ def test_real_plans_have_their_known_number_of_cells(
     assert houses.free_cells.tolist() == [free_cells]
 
 
+@pytest.mark.slow
 def test_every_real_plan_loads(maps: Path) -> None:
     files = [file for file in maps.glob("*/*") if file.suffix in (".yaml", ".pgm", ".png")]
     assert len(files) == 14

@@ -126,6 +126,7 @@ def test_seed_0_is_this_house_for_good() -> None:
     assert drawn == SEED_0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side, low, high", [(10, 0.74, 0.79), (14, 0.70, 0.75)])
 def test_about_three_quarters_of_the_interior_are_free(side: int, low: float, high: float) -> None:
     drawn = draw_houses(Rooms([side, side], [side, side]), range(500), n_agents=2)

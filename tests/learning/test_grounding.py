@@ -165,7 +165,7 @@ def test_messages_may_learn_from_these_losses_alone(only: bool) -> None:
     assert any(weight.grad.any() for weight in agent.network.encoder.parameters())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("memory", ["none", "gru"])
 def test_grounded_messages_come_to_tell_the_senders_map(memory: str) -> None:
     """Beyond what each cell is most often, by these losses alone; with a memory in rows."""
@@ -186,6 +186,7 @@ def test_grounded_messages_come_to_tell_the_senders_map(memory: str) -> None:
     assert told[-1] < 0.8 * without_messages < told[0]
 
 
+@pytest.mark.slow
 def test_targets_rotate_with_offsets() -> None:
     """The cell that an offset leads to is the same cell in a rotated frame."""
     _, block = collected([*SMALL, "comm=plan", *LEARNERS["pqn"], *BOTH], steps=8)

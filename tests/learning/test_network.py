@@ -73,6 +73,6 @@ def test_two_channels_do_not_remember_by_one_key():
     over(Lossy(**{**bursts, "burst_start": 0.0}), Lossy(**bursts))  # one remembers nothing
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_compiles_in_one_graph_with_every_comm(run_script):
     run_script("tests.agent.compiled")

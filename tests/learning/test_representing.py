@@ -44,7 +44,7 @@ def test_losses_are_their_equations():
     torch.testing.assert_close(agent.side_loss(batch)[0], expected)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_they_are_learnt_and_reach_the_senders():
     agent, batch = make_agent("masia", lr=1e-2, lr_end=1e-2), batch_of()
     before = agent.side_loss(batch)[0]

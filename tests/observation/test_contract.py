@@ -16,7 +16,7 @@ def test_the_contract(level: str) -> None:
     check_observation(level)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("level", LEVELS)
 def test_the_contract_with_a_small_view_and_noise(level: str) -> None:
     known = parameters(read_level("observation", level)["_target_"])

@@ -38,7 +38,7 @@ def test_a_crop_is_around_where_the_robot_thinks_it_is(case: Case, side: int, no
     assert_sees([case], Crop(side, noise), expected)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(case=small_cases, side=sides, scales=st.integers(2, 4), noise=noises)
 @hypothesis_settings(max_examples=25, deadline=None)
 def test_a_pyramid_counts_cells(case: Case, side: int, scales: int, noise: float) -> None:
@@ -60,7 +60,7 @@ def test_distances_walk_to_the_first_wall(case: Case, range_cells: int) -> None:
     assert_sees([case], Distances(range_cells), expected)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(case=small_cases)
 @hypothesis_settings(max_examples=25, deadline=None)
 def test_a_global_map_is_all_of_it(case: Case) -> None:
@@ -70,7 +70,7 @@ def test_a_global_map_is_all_of_it(case: Case) -> None:
     assert_sees([case], GlobalMap(LARGEST), expected)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @family("memory", Memory, fast=1)
 @given(data=st.data())
 @hypothesis_settings(max_examples=6, deadline=None)

@@ -10,6 +10,7 @@ from marl_clean.config.levels import rooms
 from marl_clean.evaluation.evaluator import evaluate
 from marl_clean.settings import HouseOrder
 from marl_clean.testing import check_planner
+from tests.families import family
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -25,8 +26,7 @@ SMALL = ["house.rows=[7, 10]", "house.cols=[7, 10]"]
 each_planner = pytest.mark.parametrize("planner", PLANNERS)
 
 
-@pytest.mark.slow
-@each_planner
+@family("planner", PLANNERS, fast=[], usual=4)
 def test_the_contract(planner: str) -> None:
     level, *settings = (text.partition("=")[2] for text in planner.split())
     names = (text.partition("=")[0].removeprefix("planner.") for text in planner.split()[1:])

@@ -52,7 +52,7 @@ def test_actions_are_those_of_breadth_first_search(case: Case, assignment: Assig
     follow(case, NearestUnknown(assignment), compare)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(case=cases(max_agents=3))
 @hypothesis_settings(max_examples=20, deadline=None)
 def test_hungarian_targets_cost_what_the_best_assignment_costs(case: Case) -> None:
@@ -67,7 +67,7 @@ def test_hungarian_targets_cost_what_the_best_assignment_costs(case: Case) -> No
     follow(case, NearestUnknown(Assignment.HUNGARIAN), compare)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(
     case=cases(max_agents=4),
     assignment=st.sampled_from([Assignment.NONE, Assignment.GREEDY]),
@@ -107,7 +107,7 @@ def likely_walls(known: reference.Map) -> set[reference.Place]:
     }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(case=cases(max_agents=3))
 @hypothesis_settings(max_examples=20, deadline=None)
 def test_what_is_probably_wall_comes_after_all_that_is_not(case: Case) -> None:

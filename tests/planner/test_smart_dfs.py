@@ -80,7 +80,7 @@ def tours(polygons: list[Polygon]) -> list[list[Place]]:
 several_polygons = st.lists(polygons(), min_size=12, max_size=12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(several_polygons)
 @hypothesis_settings(max_examples=10, deadline=None)
 def test_a_closed_tour_takes_at_most_cells_plus_half_the_edges_less_three(drawn) -> None:
@@ -149,7 +149,7 @@ class Explorer:
             self.places.append(closer[0])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(several_polygons)
 @hypothesis_settings(max_examples=8, deadline=None)
 def test_every_step_is_that_of_the_recursion(drawn) -> None:

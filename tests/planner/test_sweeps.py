@@ -48,7 +48,7 @@ def sweep(world: reference.World, robot: int, order: list[int]) -> int | None:
     return None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(case=cases(max_agents=3), planner=st.sampled_from([Boustrophedon, Spiral]))
 @hypothesis_settings(max_examples=30, deadline=None)
 def test_every_step_is_the_rule_taken_literally(case: Case, planner: type[Sweep]) -> None:

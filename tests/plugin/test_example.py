@@ -73,7 +73,7 @@ def trained(site: Path) -> Path:
     return site.parent
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_installed_its_levels_are_there(site: Path, tmp_path: Path) -> None:
     listed = python("-m", "marl_clean", "list", at=tmp_path, paths=[site])
     assert listed.returncode == 0, listed.stderr
@@ -85,7 +85,7 @@ def test_installed_its_levels_are_there(site: Path, tmp_path: Path) -> None:
     assert wrong.stderr.count("\n") == 1 and not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_is_trained_and_measured_with_them(trained: Path) -> None:
     for policy in ("tidy", "right_hand"):
         assert f'"policy": "{policy}"' in (trained / f"{policy}.json").read_text()
@@ -108,7 +108,7 @@ def test_where_it_is_not_installed_it_is_named(tmp_path: Path) -> None:
     assert named.returncode == 0 and named.stdout.count("(tidy_lab)") == 3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_its_own_tests_pass(site: Path) -> None:
     pytest_ = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "tests"]
     done = python(*pytest_, at=site.parent / "source", paths=[site])

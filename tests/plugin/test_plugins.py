@@ -210,6 +210,7 @@ def test_without_plugins_no_line_of_the_list_is_marked() -> None:
     assert not [line for line in listing.lines() if line.endswith("(hushed)")]
 
 
+@pytest.mark.slow
 def test_the_python_door_takes_plugins(make: Make) -> None:
     name = make()
     with locate.plugins_in_use([]):  # so that nothing stays known

@@ -21,7 +21,7 @@ CONTRACTS = sorted(
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_run(name: str, run: marl_clean.Run) -> None:
     """In a folder with a finished run, runs/mine."""
@@ -56,7 +56,7 @@ follow_imports_for_stubs = True
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_users_script_is_typed_exactly(tmp_path: Path) -> None:
     pytest.importorskip("mypy", reason="of the extra dev")
     (tmp_path / "mypy.ini").write_text(NOT_FOLLOWED)

@@ -9,7 +9,7 @@ import pytest
 import marl_clean
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_importing_it_imports_no_torch_and_using_it_does() -> None:
     script = (
         "import sys, marl_clean\n"

@@ -78,6 +78,7 @@ def test_without_pandas_the_message_names_what_to_install(
         run.table.to_pandas()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("keywords", "settings"),
     [
@@ -100,6 +101,7 @@ def test_it_measures_what_the_command_measures(
         assert json.loads(json.dumps(table.entries)) == wanted
 
 
+@pytest.mark.long
 def test_a_file_is_written_only_with_out(workplace: Path) -> None:
     before = {*workplace.rglob("*")}
     table = marl_clean.evaluate(["planner=random"], houses=2)
@@ -108,6 +110,7 @@ def test_a_file_is_written_only_with_out(workplace: Path) -> None:
     assert json.loads(Path("written.json").read_text()) == table.entries
 
 
+@pytest.mark.long
 def test_comparing_returns_what_the_command_writes(run: Run) -> None:
     assert cli.main(["compare", "mine", "--against", "nearest_unknown", "--out", "c.json"]) == 0
     table = marl_clean.compare(run, against="nearest_unknown")

@@ -39,7 +39,7 @@ def is_running(process: int) -> bool:
     return True
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("sent", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
 def test_a_signal_to_the_driver_ends_its_workers_with_their_states_saved(
     tmp_path: Path, sent: int, code: int

@@ -7,7 +7,7 @@ from tests.reliability.sweeps import check
 PLUGINS = {"basic": "hydra", "joblib": "hydra_plugins.hydra_joblib_launcher"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("launcher", PLUGINS)
 def test_a_sweep_whose_workers_and_driver_are_killed_is_completed(launcher):
     pytest.importorskip(PLUGINS[launcher], reason="extra `sweep` is not installed")

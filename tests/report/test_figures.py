@@ -75,7 +75,7 @@ def test_the_view_in_figure_2_is_what_the_network_gets(cfg):
     assert (texts == "-1").any() and (texts == "-.2").any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_figure_is_written_as_svg_and_png(cfg, tmp_path, monkeypatch):
     monkeypatch.setattr(figure, "RUNS", tmp_path)
     for name in figure.NAMES:
@@ -133,6 +133,7 @@ def test_the_cursor_comes_back_when_a_play_is_interrupted(cfg, monkeypatch):
     assert screen.getvalue().endswith(watch.SHOW_CURSOR)
 
 
+@pytest.mark.slow
 def test_evaluate_writes_the_planners_entry_and_prints_its_row(cfg, tmp_path):
     console, out = quiet(), tmp_path / "deep" / "out.json"
     evaluate.main(cfg, out, console)

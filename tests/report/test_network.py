@@ -74,6 +74,7 @@ def test_another_number_of_robots_changes_figure_4():
         assert sum(text.startswith("received FCL") for text in texts) == count - 1
 
 
+@pytest.mark.slow
 def test_another_size_of_message_changes_figure_4():
     assert "message FCL\n5" in drawn("paper_4", "comm.message_dim=5")[1]
 

@@ -79,6 +79,7 @@ def player(tmp_path: Path, episodes: list[dict[str, Any]]) -> Path:
     return page
 
 
+@pytest.mark.long
 def test_robots_are_where_the_record_says_at_every_moment(
     player: Path, episodes: list[dict[str, Any]]
 ) -> None:

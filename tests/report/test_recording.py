@@ -91,6 +91,7 @@ def check_code(code: int, value: float) -> None:
         assert abs(code - AVAILABLE - min(value / FRESH, 1.0) * LEVELS) <= 0.5 + 1e-5
 
 
+@pytest.mark.long
 def test_messages_are_those_that_were_sent() -> None:
     settings = ["comm=plan", "comm.message_dim=5", "env.max_steps=12"]
     cfg, policy = policy_for(settings)
@@ -115,6 +116,7 @@ def test_messages_are_those_that_were_sent() -> None:
     }  # over up to 2 edges
 
 
+@pytest.mark.long
 def test_who_sends_nothing_has_no_messages() -> None:
     cfg, policy = policy_for(["comm=none", "env.max_steps=5"])
     assert {"bits", "messages"}.isdisjoint(record(first_held_out(cfg), policy))
@@ -128,6 +130,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return read_recording(path)
 
 
+@pytest.mark.long
 def test_what_is_written_is_read(whole: dict[str, Any]) -> None:
     assert (whole["rows"], whole["cols"]) == (7, 9)
     assert len(whole["contacts"]) == 6

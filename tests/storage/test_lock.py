@@ -51,6 +51,7 @@ def python(code: str, *arguments: object) -> subprocess.Popen:
     )
 
 
+@pytest.mark.slow
 def test_a_held_folder_says_by_whom_and_a_kill_frees_it(tmp_path):
     folder = tmp_path / "runs" / "mine"
     process = python(HOLD, folder)
@@ -86,6 +87,7 @@ def test_a_folder_that_cannot_be_written_is_bad_input(tmp_path):
         pass
 
 
+@pytest.mark.slow
 def test_two_processes_are_never_inside_at_once(tmp_path):
     folder, journal = tmp_path / "runs" / "a", tmp_path / "journal"
     processes = [python(COUNT, folder, journal) for _ in range(2)]

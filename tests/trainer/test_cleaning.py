@@ -10,6 +10,7 @@ from marl_clean.logger.csv import Csv
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer._collecting import CarriedCollector
 from marl_clean.trainer.off_policy import OffPolicy
+from tests.families import family
 from tests.trainer.killing import Killed, kill_after
 
 pytestmark = pytest.mark.usefixtures("unchecked")
@@ -47,8 +48,7 @@ def train(folder, overrides, die_after: int | None = None) -> None:
     trainer.train(env, agent, lambda policy: {"T_100": 1.0}, [Csv(folder)], folder)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
+@family(
     "overrides",
     [
         ["trainer.total_frames=384"],
@@ -61,6 +61,8 @@ def train(folder, overrides, die_after: int | None = None) -> None:
         ["trainer.total_frames=384", "comm=lend", "env.memory=private", "env.robots_noted=true"],
         ["trainer.total_frames=384", "comm=autoencoder", "env.memory=private", "comm.sure=0.3"],
     ],
+    fast=[],
+    usual=2,
     ids=["shared", "merged", "shaped", "lent", "read"],
 )
 def test_a_killed_run_ends_as_the_uninterrupted_one(tmp_path, overrides):

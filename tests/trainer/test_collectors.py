@@ -92,7 +92,7 @@ def train(folder: Path, settings: list[str], logger: type[Csv] = Csv) -> None:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("settings", [ON_POLICY], ids=["on policy"])
 def test_a_run_with_processes_is_resumed_exactly(tmp_path, settings):
     train(tmp_path / "whole", settings)
@@ -114,7 +114,7 @@ def test_actors_of_ray_collect_what_processes_do(tmp_path):
     assert_same_results(tmp_path / "actors", tmp_path / "processes")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_process_that_dies_is_one_line(tmp_path):
     with pytest.raises(BadInput, match=r"^trainer\.collectors: a process that collects.*resumes"):
         train(tmp_path / "run", OFF_POLICY, Killer)
@@ -129,7 +129,7 @@ def demonstrating(cfg: DictConfig) -> tuple:
     return build.ready_for(agent, env), agent
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_processes_step_the_worlds_that_one_loop_steps():
     cfg = compose_config([*OFF_POLICY, "agent.eps_init=0", "agent.eps_end=0", "env.n_agents=3"])
     imitate, moment = ("nearest_unknown", 384.0, "planner"), Moment(0, 384, 0.0, 7)

@@ -161,7 +161,7 @@ def train(folder: Path, die_after: int | None = None) -> CleaningEnv:
     return env.base_env
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_killed_run_goes_on_in_its_stage_exactly(tmp_path: Path) -> None:
     before = torch.get_num_threads()
     torch.set_num_threads(1)

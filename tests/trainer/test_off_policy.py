@@ -248,12 +248,12 @@ def test_a_diverging_network_stops_the_run_before_it_is_saved(tmp_path):
         assert all(tensor.isfinite().all() for tensor in tensors if tensor.is_floating_point())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_probe_is_solved_by_talking_both_ways_at_once(tmp_path):
     assert right_on_the_probe(tmp_path, "plan") > 0.9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_probe_is_not_solved_in_silence(tmp_path):
     assert 0.1 <= right_on_the_probe(tmp_path, "none") <= 0.45
 

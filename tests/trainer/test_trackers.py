@@ -111,7 +111,7 @@ def test_wandb_without_a_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
             assert float(logged[frames][name]) == pytest.approx(float(expected[name])), name
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_tensorboard_plays_the_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 

@@ -147,6 +147,7 @@ def test_the_planner_acts_less_and_less_in_states_of_the_learner() -> None:
         assert torch.equal(taken[..., 0], taken[..., 1])  # in a world the planner, or the learner
 
 
+@pytest.mark.slow
 def test_demonstrations_are_recorded_where_a_robot_acts_at_random() -> None:
     _, env, start = shown("iql", epsilon=0.5)
     start.at(0)
@@ -162,7 +163,7 @@ def agreement(agent: Agent, frames) -> float:
     return (acted == frames[keys.DEMONSTRATION]).float().mean().item()
 
 
-@family("level", LEARNERS, fast=1)
+@family("level", LEARNERS, fast=1, usual=3)
 def test_every_learner_imitates_the_demonstrations(level: str) -> None:
     agent, env, start = shown(level, "agent.lr=0.003", "agent.mask_walls=true")
     start.at(0)
@@ -225,7 +226,7 @@ def train(folder, overrides: list[str], die_after: int | None = None) -> None:
     instantiate(cfg.trainer).train(env, agent, lambda policy: {"T_100": 1.0}, [Csv(folder)], folder)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("one_thread")
 @pytest.mark.parametrize(
     ("level", "planner", "states"),

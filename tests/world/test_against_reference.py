@@ -106,7 +106,7 @@ def test_every_step_of_random_play_is_the_reference(case: Case, whole_map: bool)
     assert_same_play([case], whole_map)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(data=st.data())
 @hypothesis_settings(max_examples=30, deadline=None)
 def test_several_worlds_together_equal_each_alone(data: st.DataObject) -> None:
@@ -137,21 +137,21 @@ kinds = st.sampled_from(["all", "cleaned", "blocked", "coded", "coded"])
 hearing_patches = st.builds(replace, settings(), patches=kinds, **private)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(case=cases(settings=exchanging), whole_map=st.booleans())
 @hypothesis_settings(max_examples=40, deadline=None)
 def test_maps_exchanged_a_few_cells_a_step_are_the_references(case: Case, whole_map: bool) -> None:
     assert_same_play([case], whole_map)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(case=cases(settings=lending), whole_map=st.booleans())
 @hypothesis_settings(max_examples=40, deadline=None)
 def test_maps_that_are_lent_are_the_references(case: Case, whole_map: bool) -> None:
     assert_same_play([case], whole_map)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(case=cases(settings=hearing_patches), whole_map=st.booleans())
 @hypothesis_settings(max_examples=40, deadline=None)
 def test_patches_that_are_heard_are_the_references(case: Case, whole_map: bool) -> None:

@@ -29,7 +29,7 @@ def records_of(steps: int, *settings: str, n_agents: int = 3) -> torch.Tensor:
     return torch.stack(history)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("n_agents", [3])
 def test_all_cells_at_once_unite_the_maps(n_agents: int) -> None:
     told = records_of(80, *PRIVATE, "comm=delta", "comm.cells=10000", n_agents=n_agents)

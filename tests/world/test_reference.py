@@ -617,7 +617,7 @@ class TestMeasures:
 quick = settings(max_examples=60, deadline=None)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(cases())
 @quick
 def test_robots_stay_on_distinct_free_cells_and_rewards_in_range(case: Case) -> None:
@@ -667,7 +667,7 @@ def test_maps_hold_the_truth_unless_stale(case: Case) -> None:
             assert all(record.blocked != played.is_free(place) for place, record in known.items())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(cases(furniture_moves=False))
 @quick
 def test_maps_merged_by_all_with_all_are_the_shared_map(case: Case) -> None:
@@ -689,7 +689,7 @@ def planned(played: World, assignment: Assignment, seed: int) -> Iterator[list[i
         yield [draw.randrange(4) if action is None else action for action in actions]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(cases(max_agents=3, furniture_moves=False), st.sampled_from(Assignment), st.booleans())
 @settings(max_examples=25, deadline=None)
 def test_no_play_beats_a_bound(case: Case, assignment: Assignment, certify: bool) -> None:

@@ -242,14 +242,14 @@ spilling = settings().flatmap(
 )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(case=cases(settings=spilling, max_agents=8))
 @hypothesis_settings(max_examples=30, deadline=None)
 def test_spills_in_random_play_are_those_of_the_reference(case: Case) -> None:
     assert_same_play([case], whole_map=True)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @given(case=cases(settings=spilling, max_agents=8))
 @hypothesis_settings(max_examples=30, deadline=None)
 def test_spills_keep_their_promises_in_the_plain_world(case: Case) -> None:

@@ -166,6 +166,7 @@ def observed(level: str, *overrides: str) -> torch.Tensor:
     return torch.stack(seen)
 
 
+@pytest.mark.long
 @family("level", rooms()["observation"], fast=3)
 def test_robots_in_contact_that_are_not_shown_are_seen_as_those_out_of_contact(level: str) -> None:
     hidden = observed(level, "topology=full", "env.robots_shown=false")
