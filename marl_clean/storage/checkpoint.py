@@ -218,7 +218,7 @@ def _read(path: Path, largest: int | None) -> Checkpoint:
             raise Damaged(f"{TENSORS} is longer than the {largest:,} bytes that its config needs")
         verify(path)
         state = read_json(path / STATE)
-        read_header(path / TENSORS)
+        _check_header(path / TENSORS)
         tensors = load_file(path / TENSORS)
         tree = decode(state["tree"], tensors)
         if tensors:
@@ -229,6 +229,13 @@ def _read(path: Path, largest: int | None) -> Checkpoint:
     except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
         # A valid manifest does not mean that an untrusted file is a checkpoint.
         raise Damaged(f"not a checkpoint of ours, {type(error).__name__}") from error
+
+
+def _check_header(path: Path) -> None:
+    try:
+        read_header(path)
+    except ValueError as error:
+        raise Damaged(f"{path.name}: {error}") from error
 
 
 def _frames(frames: Any) -> int:

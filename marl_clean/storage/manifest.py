@@ -15,7 +15,7 @@ from typing import Any
 from marl_clean.errors import BadInput
 from marl_clean.storage import files
 from marl_clean.storage._header import read_header
-from marl_clean.storage.reading import parse_json, read_bytes
+from marl_clean.storage.reading import TooLarge, parse_json, read_bytes
 
 FOLDER = "checkpoints"
 TENSORS, STATE, MANIFEST = "tensors.safetensors", "state.json", "manifest.json"
@@ -93,6 +93,8 @@ def read_json(path: Path, largest: int = LARGEST_STATE) -> Any:
         raise Damaged(f"{path.name} is missing")
     try:
         return parse_json(read_bytes(path, largest), MOST_VALUES)
+    except TooLarge as error:
+        raise Damaged(f"{path.name} is larger than {largest:,} bytes") from error
     except BadInput as error:
         raise Damaged(str(error)) from error
     except ValueError as error:

@@ -14,6 +14,7 @@ from marl_clean.storage.reading import TooLarge, read_bytes
 LARGEST_BYTES = 1 << 20
 MOST_VALUES = 30_000
 DEEPEST = 20  # sections inside sections
+LONGEST_KEY = 100  # characters
 LONGEST_WHOLE = 40  # characters: 64 bits in any base that yaml has
 BASE, SAFE = (  # libyaml's loaders read the same ten times as fast
     (yaml.CBaseLoader, yaml.CSafeLoader)
@@ -61,6 +62,8 @@ def load_yaml(path: Path) -> Any:
     for key in _keys(tree):
         if not isinstance(key, str):
             raise BadInput(f"{path}: the key {reprlib.repr(key)} is no text; write it in quotes")
+        if len(key) > LONGEST_KEY:
+            raise BadInput(f"{path}: the key {reprlib.repr(key)} is longer than {LONGEST_KEY}")
     return tree
 
 
