@@ -265,7 +265,7 @@ def _image_of(file: Path, name: object) -> Path:
     if not image.is_relative_to(folder):
         raise BadInput(f"{file}: image {reprlib.repr(name)} lies outside the yaml's folder")
     if not is_file(image):
-        raise BadInput(f"{file}: image {reprlib.repr(name)} is missing; expected at {image}")
+        raise BadInput(f"{file}: image {reprlib.repr(name)} is missing; expected in {folder}")
     return image
 
 

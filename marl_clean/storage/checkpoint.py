@@ -173,7 +173,7 @@ def fit_weights(network: nn.Module, weights: Any, source: Path) -> None:
         BadInput: names, shapes or types differ from the network's, or a weight is not finite.
     """
     own = network.state_dict()
-    if isinstance(weights, dict):
+    if isinstance(weights, dict) and all(isinstance(name, str) for name in weights):
         channel = {name: w for name, w in own.items() if name.startswith(CHANNEL)}
         rest = {name: w for name, w in weights.items() if not name.startswith(CHANNEL)}
         weights = rest | {name: weights.get(name, w) for name, w in channel.items()}

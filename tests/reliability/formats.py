@@ -195,7 +195,7 @@ def seal_study(folder: Path) -> None:
         if isinstance(content, dict):
             content["sha256"] = frozen.digest_of(content)
             path.write_text(yaml.dump(content, Dumper=yaml.CSafeDumper, sort_keys=False))
-    except (yaml.YAMLError, ValueError, TypeError, RecursionError):
+    except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError, RecursionError):
         return  # no study any more
 
 

@@ -116,7 +116,7 @@ def in_child(work: Callable[[], Counted]) -> Counted:
                 try:
                     counted = work()
                 except Exception:  # of the harness itself
-                    counted = Counted(faults=[traceback.format_exc()])
+                    counted = Counted(faults=[f"the harness: {traceback.format_exc()[-300:]}"])
                 json.dump(asdict(counted), file)
         finally:
             os._exit(0)

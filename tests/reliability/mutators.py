@@ -106,7 +106,10 @@ def swap(content: bytes, draw: random.Random) -> bytes:
         del outer[key]
     else:
         outer[key] = draw.choice(SWAPPED)
-    return dumped(tree).encode("utf-8", "surrogatepass")
+    try:
+        return dumped(tree).encode("utf-8", "surrogatepass")
+    except (ValueError, RecursionError):  # of what an earlier mutation brought in
+        return content
 
 
 def _parsed(content: bytes) -> tuple[Any, Callable[[Any], str]]:
@@ -119,7 +122,7 @@ def _parsed(content: bytes) -> tuple[Any, Callable[[Any], str]]:
         return None, json.dumps
     try:
         return yaml.load(content, Plain), partial(yaml.dump, Dumper=yaml.CSafeDumper)
-    except (yaml.YAMLError, ValueError, LookupError, TypeError, RecursionError):
+    except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError, RecursionError):
         return None, json.dumps
 
 
