@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictModuleBase
+from torch import nn
 from torchrl.envs import Compose, InitTracker, RewardSum, Transform, TransformedEnv
 
 from marl_clean import keys
@@ -27,11 +28,11 @@ from marl_clean.env.transformed import TransformedWorlds
 from marl_clean.errors import BadInput
 from marl_clean.house.base import Houses, draw_bank, draw_houses, smallest_first, split_seeds
 from marl_clean.learning.agent import Agent
-from marl_clean.learning.width import count_weights, widest_within
+from marl_clean.learning.width import as_wide_as_allowed, fewest_weights
 from marl_clean.planner.base import Planner
 from marl_clean.settings import HouseOrder
 from marl_clean.storage.checkpoint import fit_weights, load_weights
-from marl_clean.storage.manifest import weights_sha256
+from marl_clean.storage.manifest import count_weights, weights_sha256
 
 ACTING_KEYS = ("mask_walls", "play")
 """Settings of learners that change how actions are chosen, not the network."""
@@ -194,12 +195,34 @@ def make_agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     """
     check_fit(cfg)
     if cfg.get("parameter_budget") is not None:
-        cfg = as_wide_as_allowed(cfg, env)
+        cfg = as_wide_as_allowed(cfg, lambda sized: _agent(sized, env).network)
     return _agent(cfg, env)
 
 
 def _agent(cfg: DictConfig, env: TransformedEnv) -> Agent:
     return instantiate(cfg.agent, **agent_parts(cfg, env))
+
+
+def check_size(cfg: DictConfig, env: TransformedEnv, folder: Path) -> None:
+    """Hold the network of a run's config against the run's weights, before it is built.
+
+    Raises:
+        BadInput: the run has no whole weights, or fewer than encoder and scheme have.
+    """
+    seen = env.observation_spec[keys.OBSERVATION].shape[2:]
+
+    def parts(sized: DictConfig) -> tuple[nn.Module, ...]:
+        encoder = make_encoder(sized, seen)
+        return encoder, make_comm(sized.comm, encoder.out_features, seen)
+
+    needed, held = fewest_weights(cfg, parts), count_weights(folder)
+    if held is None:
+        load_weights(folder)  # which says why
+    elif needed > held:
+        raise BadInput(
+            f"{folder}: its config needs {needed:,} weights or more, its checkpoint holds {held:,};"
+            " same config needed"
+        )
 
 
 def agent_parts(cfg: DictConfig, env: TransformedEnv) -> dict[str, Any]:
@@ -219,25 +242,6 @@ def agent_parts(cfg: DictConfig, env: TransformedEnv) -> dict[str, Any]:
         "num_actions": env.full_action_spec[keys.ACTION].n,
         "device": cfg.device,
     }
-
-
-def as_wide_as_allowed(cfg: DictConfig, env: TransformedEnv) -> DictConfig:
-    """Return `cfg` with the encoder's features as wide as `parameter_budget` allows.
-
-    Raises:
-        BadInput: not even one feature fits.
-    """
-    sized = cfg.copy()
-    sized.parameter_budget = None
-
-    def size(width: int) -> int:
-        sized.encoder.hidden = [*cfg.encoder.hidden[:-1], width]
-        with torch.random.fork_rng([]):
-            return count_weights(_agent(sized, env).network)
-
-    width = widest_within(cfg.parameter_budget, size)
-    sized.encoder.hidden = [*cfg.encoder.hidden[:-1], width]
-    return sized
 
 
 def ready_for(agent: Agent, env: TransformedEnv) -> TransformedEnv:
@@ -265,7 +269,7 @@ def start_from(agent: Agent, cfg: DictConfig) -> None:
     folder = find_run(cfg.checkpoint)
     if weights_sha256(folder) != cfg.weights:
         raise BadInput(f"checkpoint={cfg.checkpoint}: its weights have changed; start anew")
-    fit_weights(agent.network, load_weights(folder).tree, folder)
+    fit_weights(agent.network, load_weights(folder, agent.network).tree, folder)
     agent.start_from_network()
 
 
@@ -288,6 +292,8 @@ def load_policy(folder: Path, wanted: DictConfig | None = None) -> TensorDictMod
         for key in ACTING_KEYS:
             if key in cfg.agent and key in wanted.agent:
                 cfg.agent[key] = wanted.agent[key]
-    agent = make_agent(cfg, make_env(cfg, houses, num_envs=1))
-    fit_weights(agent.network, load_weights(folder).tree, folder)
+    env = make_env(cfg, houses, num_envs=1)
+    check_size(cfg, env, folder)
+    agent = make_agent(cfg, env)
+    fit_weights(agent.network, load_weights(folder, agent.network).tree, folder)
     return agent.policy()

@@ -14,6 +14,7 @@ from typing import Any
 
 import yaml
 from omegaconf import DictConfig
+from pydantic import BaseModel, ValidationError
 
 from marl_clean import __version__
 from marl_clean.commands.made_with import git_state
@@ -28,6 +29,22 @@ from marl_clean.storage.safe_yaml import load_yaml
 FROZEN = "study.yaml"
 SCHEMA = 1
 HEAD = "# Written when the study was first run, and not changed after that: see docs/studies.md.\n"
+
+
+class _Arm(BaseModel, strict=True):
+    hashes: list[str]
+    config: dict[str, Any]
+
+
+class _Content(BaseModel, strict=True):
+    """What readers of study.yaml need beside the section `study`, which `read_study` checks."""
+
+    preset: str
+    frozen: str
+    version: str
+    commit: str | None
+    study: dict[str, Any]
+    arms: dict[str, _Arm]
 
 
 @dataclass(frozen=True)
@@ -111,10 +128,16 @@ def read_frozen(folder: Path) -> Frozen:
             "begin a new study: name=OTHER"
         )
     try:
+        _Content.model_validate(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        place = ".".join(map(str, first["loc"]))[:80]
+        raise BadInput(f"{path}: is no frozen study: {place}: {first['msg']}") from error
+    try:
         frozen = Frozen(folder, content, read_study(content["study"])[1])
         complete = {arm for arm, _ in frozen.hashes} == set(frozen.study["arms"])
-    except (BadInput, LookupError, TypeError, ValueError, AttributeError) as error:
-        raise BadInput(f"{path}: is no frozen study: {error!r}") from error
+    except ValueError as error:  # BadInput, or other than a hash for each seed
+        raise BadInput(f"{path}: is no frozen study: {error}") from error
     if not complete:
         raise BadInput(f"{path}: is no frozen study: its arms are not those of its section")
     return frozen

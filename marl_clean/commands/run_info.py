@@ -19,6 +19,7 @@ from marl_clean.config.stored import CONFIG, METRICS
 from marl_clean.errors import BadInput
 from marl_clean.storage import manifest
 from marl_clean.storage.lock import Holder, holder
+from marl_clean.storage.reading import DECODER, parse_json, read_bytes
 
 MEASURED, PICTURES = "evaluation.json", ("curve.png", "replay.gif")
 FAILED, LOG = "failed.txt", "job.log"  # of a job of a sweep: why it failed, and what it printed
@@ -26,6 +27,8 @@ YARDSTICK = "nearest_unknown"
 SCORES = ("T_90", "return")  # the first that was measured is a run's score
 NAMED_BY_HASH = re.compile(r"(.+)-[0-9a-f]{8}")
 LONGEST_LINE = 300
+LARGEST_BYTES = 64 << 20  # of a result file
+LARGEST_SCORE = 1e15  # or a line of the list has 300 digits
 
 
 class State(Enum):
@@ -97,9 +100,9 @@ def look(folder: Path, name: str) -> RunInfo:
         folder,
         state,
         preset=by_hash[1] if by_hash else None,
-        seed=_number(r"^seed: (\d+)\s*$", config),
+        seed=_number(r"^seed: (\d{1,19})\s*$", config),
         frames=int(finals[0].name.rpartition("-")[2]) if finals else last_frames(folder),
-        total_frames=_number(r"^  total_frames: (\d+)\s*$", config),
+        total_frames=_number(r"^  total_frames: (\d{1,19})\s*$", config),
         score=score,
         reason=reason if state is State.FAILED else None,
         holder=other,
@@ -127,7 +130,7 @@ def is_finished(config: DictConfig, folder: Path) -> bool:
 def score_of(folder: Path) -> Score | None:
     """The score in a run's result file, in which the run's own houses come first; or None."""
     try:
-        own, *others = _summaries((folder / MEASURED).read_text(encoding="utf-8"))
+        own, *others = _summaries(read_bytes(folder / MEASURED, LARGEST_BYTES).decode("utf-8"))
         same = ("house_set", "n_agents")
         planners: Iterator[dict[str, Any]] = (
             entry["summary"]
@@ -136,10 +139,12 @@ def score_of(folder: Path) -> Score | None:
         )
         measure = next(name for name in SCORES if name in own["summary"])
         mean = float(own["summary"][measure]["mean"])
+        if abs(mean) >= LARGEST_SCORE:
+            return None
         if measure == "return" or (planner := next(planners, None)) is None:
             return Score(measure, mean, None)
         return Score(measure, mean, mean / planner[measure]["mean"])
-    except (OSError, ArithmeticError, ValueError, LookupError, TypeError, StopIteration):
+    except (ArithmeticError, ValueError, LookupError, TypeError, RecursionError, StopIteration):
         return None
 
 
@@ -149,14 +154,13 @@ def _summaries(text: str) -> Iterator[dict[str, Any]]:
     The file is read by its indentation, as this package writes it; another is read as JSON.
     """
     if not text.startswith('[\n {\n  "'):
-        yield from json.loads(text)
+        yield from parse_json(text.encode("utf-8"))
         return
-    decoder = json.JSONDecoder()
     for block in text[1:].split("\n {\n")[1:]:
         head = dict(re.findall(r'^  "(\w+)": ("[^\n]*"|\d+),$', block[:2000], re.M))
         start = block.index('\n  "summary": ') + len('\n  "summary": ')
         entry = {name: json.loads(value) for name, value in head.items()}
-        yield entry | {"summary": decoder.raw_decode(block, start)[0]}
+        yield entry | {"summary": DECODER.raw_decode(block, start)[0]}
 
 
 def last_frames(folder: Path) -> int:

@@ -8,7 +8,7 @@ import json
 import logging
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,11 @@ from marl_clean.commands.command_line import command_line
 from marl_clean.commands.energy import CpuEnergy
 from marl_clean.config.config_hash import config_hash
 from marl_clean.storage import files
+from marl_clean.storage.reading import parse_json, read_bytes
 
 RECORD = "run.json"
 SCHEMA = 1
+LARGEST_BYTES = 16 << 20  # as of some thousand processes
 FINISHED, STOPPED = "finished", "stopped"  # by a signal; else it ended with an error of this name
 log = logging.getLogger(__name__)
 
@@ -77,14 +79,12 @@ def recorded(cfg: DictConfig, folder: Path) -> Iterator[Callable[[], None]]:
 
 def earlier_processes(path: Path) -> list[dict[str, Any]]:
     """The processes in a run.json; none, with a line in the log, where it is not whole."""
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+    if not path.exists():
+        return []
+    with suppress(ValueError, LookupError, TypeError):  # BadInput is a ValueError, too
+        record = parse_json(read_bytes(path, LARGEST_BYTES))
         if record["schema"] == SCHEMA and all(isinstance(p, dict) for p in record["processes"]):
             return list(record["processes"])
-    except FileNotFoundError:
-        return []
-    except (OSError, ValueError, RecursionError, LookupError, TypeError):
-        pass
     log.warning("%s: is not of schema %s; begun anew", path, SCHEMA)
     return []
 

@@ -102,6 +102,8 @@ def train(
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it reports every buffer it makes
     torch.manual_seed(cfg.seed)
     env = build.make_env(cfg)
+    if cfg.checkpoint is not None:
+        build.check_size(cfg, env, find_run(cfg.checkpoint))
     agent = build.make_agent(cfg, env)
     env = build.ready_for(agent, env)
     fixed = {} if has_houses(cfg) else {"select_by": "return"}  # an external task has no other

@@ -1,5 +1,6 @@
 """`marl-clean verify RUN`: a run's first updates made once more, and compared bit for bit."""
 
+import reprlib
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,6 +16,7 @@ from marl_clean.errors import BadInput
 from marl_clean.evaluation.table import output
 
 DIFFERENT = 1  # exit code
+LONGEST = 100  # characters of a value
 MACHINE = ("cpu", "torch_threads", "device", "bfloat16", "gpu", "cuda")
 
 
@@ -49,11 +51,17 @@ def main(text: str, console: Console | None = None) -> int:
             where = f"update {before.updates} (frame {before.frames})"
             console.print(f"{text}: weights differ after {where}", soft_wrap=True)
             for line in differences(folder, config.device):
-                console.print(f"  {line}", soft_wrap=True)
+                console.print(f"  {line}", soft_wrap=True, markup=False)
             return DIFFERENT
     what = f"weights after {noted[-1].updates} updates from {noted[-1].frames:,} frames"
     console.print(f"{text}: {what} are the same, bit for bit", soft_wrap=True)
     return 0
+
+
+def _short(value: Any) -> str:
+    """A value of the record, which may be anybody's, as a few printable characters."""
+    text = str(value)
+    return text if text.isprintable() and len(text) <= LONGEST else reprlib.repr(text)
 
 
 def differences(folder: Path, device: str) -> Iterator[str]:
@@ -78,7 +86,7 @@ def differences(folder: Path, device: str) -> Iterator[str]:
         for name, value in held.items():
             if before.get(name) != value:
                 same = False
-                yield f"{name}: {before.get(name)} then, {value} now"
+                yield f"{name}: {_short(before.get(name))} then, {value} now"
     if same:
         yield (
             "code, versions and hardware are the same: its config was changed since, or torch used"

@@ -1,17 +1,19 @@
 """The rooms and their levels, as the folders and files of the packages' `conf/` name them."""
 
 import copy
+import reprlib
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from marl_clean.config.locate import own, package_of, packages
+from marl_clean.config.locate import NAME, own, package_of, packages
 from marl_clean.errors import BadInput
 from marl_clean.storage.safe_yaml import load_yaml
 
 EXPERIMENT = "experiment"
 BUDGET = "budget"
 PRESETS = (EXPERIMENT, BUDGET)  # groups that set keys of several rooms; not rooms themselves
+LONGEST_TARGET = 200  # characters of a `_target_` that are quoted
 SEVERAL = ("logger", "channel")  # rooms that take several levels at once, by name
 
 
@@ -84,13 +86,14 @@ def problem_of_target(target: object, room: str) -> str | None:
     """
     if isinstance(target, str) and is_target(room, target):
         return None
+    given = repr(target) if len(repr(target)) <= LONGEST_TARGET else reprlib.repr(target)
+    reason = f"must name the class of a level of {room}, not {given}"
     if not isinstance(target, str) or package_of(target) is not None:
-        return f"must name the class of a level of {room}, not {target!r}"
+        return reason
     top = target.partition(".")[0]
-    return (
-        f"must name the class of a level of {room}, not {target!r}; of a plugin that is not in "
-        f"use, install it or name it: --plugin {top}"
-    )
+    if not NAME.fullmatch(top) or len(top) > LONGEST_TARGET:
+        return reason
+    return f"{reason}; of a plugin that is not in use, install it or name it: --plugin {top}"
 
 
 def plugin_of(group: str, level: str) -> str | None:

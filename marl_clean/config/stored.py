@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from omegaconf import DictConfig
+from omegaconf import MISSING, DictConfig
 
 from marl_clean.config.class_source import constant, parameters
 from marl_clean.config.compose import PERFECT, apply, check, checked, compose_parsed
@@ -83,10 +83,20 @@ def parsed_for_training(parsed: Sequence[Override]) -> DictConfig:
         run = config.checkpoint
     folder = find_run(run)
     stored = load_config(folder)
-    wanted = apply({**stored, "name": None, "out": None}, parsed)
+    wanted = apply({**stored, "name": None, "logger": _plain_loggers(stored)}, parsed)
     _check_fits(stored, wanted, run, learning_may_change=True)
     start = {"checkpoint": str(folder), "weights": weights_sha256(folder)}
     return checked({**wanted, **start}, parsed)
+
+
+def _plain_loggers(stored: dict[str, Any]) -> dict[str, Any]:
+    """The loggers of a stored config with the settings of their yaml.
+
+    Its own may name a server, which is to learn nothing of what is trained here.
+    """
+    loggers = stored["logger"] or {}
+    levels = {name: level_of(section["_target_"]) for name, section in loggers.items()}
+    return {name: read_level("logger", level) for name, level in levels.items()}
 
 
 def _checkpoint_in(parsed: Sequence[Override]) -> str | None:
@@ -154,23 +164,26 @@ def load_config(folder: Path) -> dict[str, Any]:
     """The checked config of the run in `folder`; it may come from an untrusted source.
 
     Keys added after the run have the values of their level's yaml, which reproduce what was before
-    there was a key.
+    there was a key. `out` is null: it said where that command wrote, not where another will.
 
     Raises BadInput when it is not a config of this package: other keys or types, classes from
-    elsewhere, or `${...}`, which could read this machine's environment.
+    elsewhere, or `${...}` and `???`, which are no values (`${...}` could read this machine's
+    environment).
     """
     path = folder / CONFIG
     plain = load_yaml(path)
-    if not isinstance(plain, dict) or not all(isinstance(key, str) for key in plain):
+    if not isinstance(plain, dict):
         raise BadInput(f"{path}: not the config of a run; it has no sections")
-    if any("${" in text for text in _texts(plain)):
-        raise BadInput(f"{path}: holds ${{...}}; the config of a run has its values written out")
+    if any("${" in text or text == MISSING for text in _texts(plain)):
+        raise BadInput(
+            f"{path}: holds ${{...}} or {MISSING}; the config of a run has its values written out"
+        )
     try:
         plain = _completed(plain)
         check(plain)
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
-    return plain
+    return {**plain, "out": None}
 
 
 def _completed(plain: dict[str, Any]) -> dict[str, Any]:
@@ -205,7 +218,7 @@ def check_same_run(config: DictConfig, folder: Path) -> None:
         return
     for room in map(str, config):
         for key, old, new in differing(stored.get(room), config[room], room):
-            if key != "name":
+            if key not in ("name", "out"):
                 raise BadInput(
                     f"name={config.name}: {folder} holds a run with {key}={old}, not {new}; "
                     "choose another name"

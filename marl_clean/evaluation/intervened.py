@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter, ValidationError
 
-from marl_clean.errors import BadInput
-from marl_clean.evaluation.records import Entry, Torn, read_entries
+from marl_clean.evaluation.records import LARGEST_BYTES, Entry, Torn, read_entries
+from marl_clean.storage.reading import read_bytes
 
 MARK = " | "  # between a policy's name and what changed its messages
 REPLACED, LISTENED = ("zero", "shuffle"), ("moved", "switched", "kl")
@@ -42,11 +42,8 @@ def read_intervened(path: Path) -> Intervened | None:
     None where it has none, or there is no such file. Raises BadInput where it is no
     evaluation.json that can be shown.
     """
-    try:
-        if not path.is_file() or b'"change"' not in path.read_bytes():
-            return None
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from error
+    if not path.is_file() or b'"change"' not in read_bytes(path, LARGEST_BYTES):
+        return None
     entries = read_entries(path)
     untouched = next((entry for entry in entries if "listening" in entry), None)
     changed = {name_of(entry): entry for entry in entries if "change" in entry}

@@ -16,19 +16,22 @@ runs and steps of every algorithm, and no comma in a name: commas are written as
 """
 
 import json
+import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.measured import (
+    MOST_VALUES,
     Measured,
+    check_exported,
     entry_of,
     read_text,
-    refuse_repeated,
     versions_fit,
 )
 from marl_clean.evaluation.records import MEASURES, House, means, sample
+from marl_clean.storage.reading import parse_json
 
 NAME = "marl_eval.json"
 LEARNED, PLANNERS, RECORDS = "marl_clean", "marl_clean_planners", "marl_clean_records"
@@ -69,10 +72,11 @@ def read_marl_eval(path: Path) -> list[Measured]:
 
     Raises BadInput where the file is none, or only the beginning of one.
     """
+    content = read_text(path).encode("utf-8")
     try:
-        tree = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
-        raise BadInput(f"{path}: is not JSON; half-written, or no export") from error
+        tree = parse_json(content, MOST_VALUES)
+    except ValueError as error:
+        raise BadInput(f"{path}: is not JSON ({error}); half-written, or no export") from error
     if not isinstance(tree, dict) or not isinstance(tree.get(RECORDS), dict):
         raise BadInput(f"{path}: has no {RECORDS}; a {NAME} of `compare --export` is valid")
     result = []
@@ -84,9 +88,10 @@ def read_marl_eval(path: Path) -> list[Measured]:
                     result += [] if item is None else [item]
     except BadInput:
         raise
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise BadInput(f"{path}: {RECORDS}: not as exported ({error!r}); damaged?") from error
-    refuse_repeated(path, result)
+    except (LookupError, TypeError, ValueError, AttributeError, StopIteration) as error:
+        reason = reprlib.repr(str(error))
+        raise BadInput(f"{path}: {RECORDS}: not as exported ({reason}); damaged?") from error
+    check_exported(path, result)
     return result
 
 

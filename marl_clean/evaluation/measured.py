@@ -10,9 +10,19 @@ from pathlib import Path
 from typing import Any
 
 from marl_clean.errors import BadInput
-from marl_clean.evaluation.records import SCHEMA, WORLD, Entry, House, house_fault, summarise
+from marl_clean.evaluation.records import (
+    SCHEMA,
+    WORLD,
+    Entry,
+    House,
+    entry_fault,
+    house_fault,
+    summarise,
+)
+from marl_clean.storage.reading import read_bytes
 
-LARGEST_BYTES = 1 << 28  # of an export: 256 MiB, as of some hundred runs in 200 houses
+LARGEST_BYTES = 128 << 20  # of an export, as of a thousand runs in 200 houses
+MOST_VALUES = 8_000_000
 log = logging.getLogger(__name__)
 
 
@@ -45,12 +55,9 @@ class Measured:
 
 def read_text(path: Path) -> str:
     """The text of an export, which need not be trusted. Raises BadInput where it is none."""
+    content = read_bytes(path, LARGEST_BYTES)
     try:
-        if path.stat().st_size > LARGEST_BYTES:
-            raise BadInput(f"{path}: larger than {LARGEST_BYTES >> 20} MiB; not an export")
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from error
+        text = content.decode("utf-8")
     except ValueError as error:
         raise BadInput(f"{path}: is not text; an export of `compare --export` is valid") from error
     if not text.strip():
@@ -74,15 +81,22 @@ def entry_of(path: Path, fields: Mapping[str, Any], houses: Sequence[House]) -> 
 
     Raises BadInput where its houses cannot be shown and pooled with others'.
     """
+    policy = str(fields["policy"])[:80]
     if (fault := house_fault(houses)) is not None:
-        raise BadInput(f"{path}: {fields['policy']}: {fault}; half-written, or no export")
-    return {**fields, "houses": [dict(house) for house in houses], "summary": summarise([houses])}
+        raise BadInput(f"{path}: {policy}: {fault}; half-written, or no export")
+    entry = {**fields, "houses": [dict(house) for house in houses], "summary": summarise([houses])}
+    if (fault := entry_fault(entry)) is not None:
+        raise BadInput(f"{path}: {policy}: {fault}; half-written, or no export")
+    return entry
 
 
-def refuse_repeated(path: Path, measured: Iterable[Measured]) -> None:
-    """Raises BadInput where two entries claim to be the same run."""
+def check_exported(path: Path, measured: Iterable[Measured]) -> None:
+    """Raises BadInput where an entry is not described as exported, or two claim the same run."""
     seen = set()
     for item in measured:
+        numbers = all(value is None or type(value) is int for value in (item.seed, item.parameters))
+        if not (numbers and isinstance(item.label, str) and item.label.isprintable()):
+            raise BadInput(f"{path}: {item.entry['policy']}: its row, seed or size is not exported")
         key = (item.world, item.setting, item.seed, item.entry["policy"])
         if key in seen:
             raise BadInput(f"{path}: {item.entry['policy']}: stands there twice")

@@ -5,24 +5,27 @@ A list with one entry for each (policy, set of houses); `schema` is the version 
 """
 
 import json
-import math
+import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationError
 
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.aggregates import iqm
 from marl_clean.evaluation.resampling import interval
 from marl_clean.evaluation.statistics import as_sample, estimate
 from marl_clean.storage import files
+from marl_clean.storage.reading import parse_json, read_bytes
 
 SCHEMA = 1
 MEASURED = "evaluation.json"
 WORLD = 0
+LARGEST = 1e50  # of a measure, and far from where its square is infinite
+LARGEST_BYTES = 64 << 20  # of such a file: 10,000 houses with ours and three planners
 
 House = Mapping[str, Any]  # one house's record
 Entry = dict[str, Any]  # one policy on one set of houses
@@ -40,23 +43,35 @@ SHOWN = ("T_90", "T_100", "coverage", "redundancy")  # in every table of houses
 SHOWN_EXTERNAL = ("return",)  # in tables of external tasks, which have no cells
 
 
+def printable(text: str) -> str:
+    """The text. Raises ValueError where a terminal would not show all of it."""
+    if not text.isprintable():
+        raise ValueError("printable characters are valid")
+    return text
+
+
+Printable = Annotated[str, AfterValidator(printable)]
+Number = Annotated[float, Field(gt=-LARGEST, lt=LARGEST)]
+
+
 class _ReadSummary(BaseModel, strict=True):
     """The fields of a measure's summary that readers need."""
 
-    mean: FiniteFloat | None
-    ci95: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)] | None
-    reached: FiniteFloat
+    mean: Number | None
+    ci95: Annotated[list[Number], Field(min_length=2, max_length=2)] | None
+    reached: Number
 
 
 class _ReadEntry(BaseModel, strict=True):
     """The fields of an entry that readers need."""
 
-    policy: str
-    house_set: str
-    epsilon: FiniteFloat
+    policy: Printable
+    house_set: Printable
+    epsilon: Number
     n_agents: int
-    houses: Annotated[list[dict[str, FiniteFloat | str | None]], Field(min_length=1)]
+    houses: Annotated[list[dict[str, Number | str | None]], Field(min_length=1)]
     summary: dict[str, _ReadSummary]
+    runs: Literal[1] = 1  # several are pooled in memory alone
 
 
 def make_entry(
@@ -164,31 +179,32 @@ def read_entries(path: Path) -> list[Entry]:
     Raises Torn when it is not an evaluation.json or lacks what tables and comparisons need, and
     another BadInput when it cannot be read or has another version.
     """
+    content = read_bytes(path, LARGEST_BYTES)
     try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise Torn(f"{path}: is not JSON; an evaluation.json is valid") from error
+        entries = parse_json(content)
+    except ValueError as error:
+        raise Torn(f"{path}: is not JSON ({error}); an evaluation.json is valid") from error
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise Torn(f"{path}: is not a list of entries; an evaluation.json is valid")
     for number, entry in enumerate(entries):
         if entry.get("schema") != SCHEMA:
-            raise BadInput(f"{path}: schema {entry.get('schema')}, only {SCHEMA} is valid")
+            schema = reprlib.repr(entry.get("schema"))
+            raise BadInput(f"{path}: schema {schema}, only {SCHEMA} is valid")
         if entry.get("world") not in (WORLD, None):  # an external task has no version
-            raise BadInput(f"{path}: world version {entry['world']}, only {WORLD} is valid")
-        if (fault := _fault(entry)) is not None:
+            world = reprlib.repr(entry["world"])
+            raise BadInput(f"{path}: world version {world}, only {WORLD} is valid")
+        if (fault := entry_fault(entry)) is not None:
             raise Torn(f"{path}: entry {number}: {fault}; an evaluation.json is valid")
     return entries
 
 
-def _fault(entry: Entry) -> str | None:
+def entry_fault(entry: Entry) -> str | None:
     """The reason why an entry cannot be shown and pooled with others; None if it can."""
     try:
         TypeAdapter(_ReadEntry).validate_python(entry)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
-        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        return f"{'.'.join(map(str, first['loc']))[:80]}: {first['msg']}"
     if (fault := house_fault(entry["houses"])) is not None:
         return fault
     shown = SHOWN if "T_100" in entry["houses"][0] else SHOWN_EXTERNAL
@@ -219,8 +235,8 @@ def house_fault(houses: Sequence[House]) -> str | None:
 
 
 def _is_number(value: Any) -> bool:
-    """Whether a record may hold it as a measure: a finite number, or null."""
-    return value is None or (type(value) in (int, float) and math.isfinite(value))
+    """Whether a record may hold it as a measure: a number that statistics can square, or null."""
+    return value is None or (type(value) in (int, float) and abs(value) < LARGEST)
 
 
 def _fallback_keys(measure: str) -> tuple[str, ...]:

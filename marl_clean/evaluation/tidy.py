@@ -17,18 +17,19 @@
 
 import csv
 import io
-import json
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.measured import (
+    MOST_VALUES,
     Measured,
+    check_exported,
     entry_of,
     read_text,
-    refuse_repeated,
     versions_fit,
 )
 
@@ -39,6 +40,8 @@ FIXED = (*ABOUT, *ENTRY, "house", "houses")
 OF_HOUSE = "house_"  # before a property of a house whose name is a column of another meaning
 TEXTS = ("path",)  # properties of a house that are no number
 NULL = "NA"
+WHOLE = re.compile(r"-?(0|[1-9][0-9]{0,18})")
+DECIMAL = re.compile(r"-?(0|[1-9][0-9]*)(\.[0-9]+)?([eE][-+]?[0-9]+)?")
 
 
 def to_tidy(measured: Sequence[Measured]) -> str:
@@ -82,7 +85,10 @@ def read_tidy(path: Path) -> list[Measured]:
 
     Raises BadInput where the file is none, or only the beginning of one.
     """
-    lines = csv.reader(io.StringIO(read_text(path), newline=""), strict=True)
+    text = read_text(path)
+    if text.count(",") > MOST_VALUES:
+        raise BadInput(f"{path}: holds more than {MOST_VALUES:,} values; not an export")
+    lines = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         columns = next(lines)
         names = [_property(column) for column in columns[len(FIXED) :]]
@@ -96,9 +102,13 @@ def read_tidy(path: Path) -> list[Measured]:
     result = []
     for about, houses in groups.items():
         fields = dict(zip((*ABOUT, *ENTRY, "houses"), about, strict=True))
-        if versions_fit(path, fields["policy"], *map(_number, (fields["schema"], fields["rules"]))):
+        try:
+            versions = [_number(fields[name]) for name in ("schema", "rules")]
+        except ValueError as error:
+            raise BadInput(f"{path}: {fields['policy'][:80]}: {error}; not of an export") from error
+        if versions_fit(path, fields["policy"], *versions):
             result.append(_measured(path, fields, houses))
-    refuse_repeated(path, result)
+    check_exported(path, result)
     return result
 
 
@@ -136,24 +146,25 @@ def _measured(path: Path, fields: dict[str, str], houses: dict[str, dict[str, An
         len(houses)
     ):
         raise BadInput(
-            f"{path}: {fields['policy']}: {len(houses)} of {fields['houses']} houses; half-written"
+            f"{path}: {fields['policy'][:80]}: {len(houses)} of {fields['houses'][:20]} houses;"
+            " half-written"
         )
     try:
         entry = {
-            "schema": int(fields["schema"]),
+            "schema": _whole(fields["schema"]),
             "world": _number(fields["rules"]),
             "policy": fields["policy"],
             "house_set": fields["house_set"],
             "config_hash": fields["config_hash"],
             "epsilon": _number(fields["epsilon"]),
-            "n_agents": int(fields["n_agents"]),
+            "n_agents": _whole(fields["n_agents"]),
         }
         seed, parameters = (
-            int(fields[name]) if fields[name] else None for name in ("seed", "parameters")
+            _whole(fields[name]) if fields[name] else None for name in ("seed", "parameters")
         )
-        silent = int(fields["silent"])
+        silent = _whole(fields["silent"])
     except ValueError as error:
-        raise BadInput(f"{path}: {fields['policy']}: {error}; not of an export") from error
+        raise BadInput(f"{path}: {fields['policy'][:80]}: {error}; not of an export") from error
     return Measured(
         fields["world"],
         fields["setting"] or None,
@@ -169,7 +180,16 @@ def _number(text: str) -> int | float | None:
     """A number as Python writes it; None for an empty text. Raises ValueError for any other."""
     if not text:
         return None
-    value = json.loads(text)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if WHOLE.fullmatch(text):
+        return int(text)
+    if not DECIMAL.fullmatch(text) or not math.isfinite(value := float(text)):
         raise ValueError(f"{text[:40]!r} is no number")
+    return value
+
+
+def _whole(text: str) -> int:
+    """A whole number. Raises ValueError for any other text."""
+    value = _number(text)
+    if not isinstance(value, int):
+        raise ValueError(f"{text[:40]!r} is no whole number")
     return value

@@ -16,12 +16,14 @@ import numpy as np
 import yaml
 
 from marl_clean.errors import BadInput
-from marl_clean.house._plan_files import is_file, read_bytes, read_lines, warn_once
+from marl_clean.house._plan_files import is_file, read_lines, warn_once
 from marl_clean.house._plan_images import STRIP_ROWS, WHITE, Pixels, read_pixels
 from marl_clean.settings import LARGEST_SIDE
-from marl_clean.storage.safe_yaml import check_plain
+from marl_clean.storage.reading import read_bytes
+from marl_clean.storage.safe_yaml import BASE, check_plain, reason_of
 
 LARGEST_YAML_BYTES = 16 * 2**10
+MILLION = 1_000_000
 DEEPEST_YAML = 3
 MAP_SERVER_KEYS = ("image", "resolution", "origin", "occupied_thresh", "free_thresh", "negate")
 FREE_FROM_GREY = 128
@@ -146,8 +148,8 @@ def to_cells(
     if not 1 <= min(rows, cols) <= max(rows, cols) <= LARGEST_SIDE:
         raise BadInput(
             f"{file}: {free.shape[0]} x {free.shape[1]} pixels of {resolution} m make "
-            f"{rows} x {cols} cells of {cell_metres} m; 1 to {LARGEST_SIDE} a side are valid, "
-            "see house.cell_metres"
+            f"{_short(rows)} x {_short(cols)} cells of {cell_metres} m; 1 to {LARGEST_SIDE} a side "
+            "are valid, see house.cell_metres"
         )
     free, occupied = free[::-1], occupied[::-1]  # from the bottom row up
     if step <= 1:
@@ -167,6 +169,11 @@ def to_cells(
     return cells[::-1]
 
 
+def _short(count: int) -> str:
+    """A number of cells, of which there may be 300 digits."""
+    return str(count) if count < MILLION else f"over {MILLION:,}"
+
+
 def _first_pixels(count: int, step: Fraction) -> list[int]:
     """For each cell the first pixel whose centre lies at or after the cell's lower edge."""
     return [math.ceil(cell * step - Fraction(1, 2)) for cell in range(count)]
@@ -183,9 +190,9 @@ def _map_server_settings(file: Path) -> dict[str, object]:
         text = read_bytes(file, LARGEST_YAML_BYTES).decode("utf-8")
         check_plain(text, file, DEEPEST_YAML)
         # The base loader knows less than the safe one: every scalar stays text.
-        settings = yaml.load(text, Loader=yaml.BaseLoader)
+        settings = yaml.load(text, Loader=BASE)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise BadInput(f"{file}: not yaml ({' '.join(str(error).split())})") from error
+        raise BadInput(f"{file}: not yaml ({reason_of(error)})") from error
     if not isinstance(settings, dict):
         raise BadInput(f"{file}: not a map_server yaml; keys: {', '.join(MAP_SERVER_KEYS)}")
     missing = [key for key in MAP_SERVER_KEYS if key not in settings]
@@ -251,11 +258,14 @@ def _image_of(file: Path, name: object) -> Path:
     if not isinstance(name, str) or not name or "\0" in name:
         raise BadInput(f"{file}: image {reprlib.repr(name)} is not a file name")
     folder = Path(os.path.realpath(file.parent))
-    image = Path(os.path.realpath(folder / name))
+    try:
+        image = Path(os.path.realpath(folder / name))
+    except ValueError as error:  # half of a surrogate pair
+        raise BadInput(f"{file}: image {reprlib.repr(name)} is not a file name") from error
     if not image.is_relative_to(folder):
         raise BadInput(f"{file}: image {reprlib.repr(name)} lies outside the yaml's folder")
     if not is_file(image):
-        raise BadInput(f"{file}: image {reprlib.repr(name)} is missing; expected at {image}")
+        raise BadInput(f"{file}: image {reprlib.repr(name)} is missing; expected in {folder}")
     return image
 
 

@@ -1,4 +1,4 @@
-"""Finds and reads floor plan files: of bounded size, and a failure is one plain line.
+"""Finds floor plan files, and reads lines: of bounded size, and a failure is one plain line.
 
 NumPy-free and torch-free.
 """
@@ -9,8 +9,11 @@ from functools import cache
 from pathlib import Path
 
 from marl_clean.errors import BadInput
+from marl_clean.settings import LARGEST_SIDE
+from marl_clean.storage.reading import read_bytes
 
 LARGEST_FILE_BYTES = 16 * 2**20
+MOST_LINES = LARGEST_SIDE + 4  # rows, and the header of a MovingAI map
 
 
 def find_plan(path: str, shipped: Path, suffixes: tuple[str, ...]) -> Path:
@@ -45,26 +48,18 @@ def is_file(file: Path) -> bool:
         return False
 
 
-def read_bytes(file: Path, limit_bytes: int = LARGEST_FILE_BYTES) -> bytes:
-    """The whole file. Raises BadInput if it is larger than the limit, or cannot be read."""
-    try:
-        with file.open("rb") as stream:
-            content = stream.read(limit_bytes + 1)
-    except OSError as error:
-        raise BadInput(f"{file}: cannot be read ({error.strerror})") from error
-    if len(content) > limit_bytes:
-        raise BadInput(f"{file}: larger than {limit_bytes:,} bytes, the most that is read")
-    return content
-
-
 def read_lines(file: Path) -> list[bytes]:
     """Lines of an ASCII file without their ends and without blank lines at the end of the file.
 
-    Raises BadInput as `read_bytes` does, and for a character that is not ASCII.
+    Raises BadInput as `read_bytes` does, for more lines than a house may have rows, and for a
+    character that is not ASCII.
     """
-    lines = [line.removesuffix(b"\r") for line in read_bytes(file).split(b"\n")]
-    while lines and not lines[-1]:
-        lines.pop()
+    content = read_bytes(file, LARGEST_FILE_BYTES).rstrip(b"\r\n")
+    if content.count(b"\n") >= MOST_LINES:
+        raise BadInput(f"{file}: more than {LARGEST_SIDE} rows")
+    if not content:
+        return []
+    lines = [line.removesuffix(b"\r") for line in content.split(b"\n")]
     for number, line in enumerate(lines, start=1):
         if not line.isascii():
             column = next(index for index, byte in enumerate(line, start=1) if byte > 127)

@@ -16,8 +16,9 @@ import numpy as np
 from PIL import Image
 
 from marl_clean.errors import BadInput
-from marl_clean.house._plan_files import read_bytes
+from marl_clean.house._plan_files import LARGEST_FILE_BYTES
 from marl_clean.settings import LARGEST_SIDE
+from marl_clean.storage.reading import read_bytes
 
 IMAGE_FORMATS = ("PNG", "PPM", "BMP", "JPEG")
 STRIP_ROWS = 256
@@ -48,7 +49,7 @@ def read_pixels(file: Path, colours: Sequence[Sequence[int]] = ()) -> Pixels:
 
     Raises BadInput for a file that is no image, is damaged, or is larger than the limits.
     """
-    content = io.BytesIO(read_bytes(file))
+    content = io.BytesIO(read_bytes(file, LARGEST_FILE_BYTES))
     with _one_line(file):
         image = Image.open(content, formats=IMAGE_FORMATS)  # the header only
     if max(image.size) > LARGEST_SIDE:

@@ -15,20 +15,20 @@ Cells are numbered row by row. With T steps and n robots:
 """
 
 import base64
-import json
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
 
 from marl_clean.errors import BadInput
+from marl_clean.storage.reading import parse_json, read_bytes
 
 SCHEMA = 1
 REPLAY = "replay.json"
 WALL, FURNITURE, DIRTY, CLEAN, SPILT = range(5)  # what a cell of the house is
 UNKNOWN, BLOCKED, AVAILABLE = range(3)  # what a map holds; from AVAILABLE on the cleaner the higher
 LEVELS = 5  # of how clean an available cell is, from dirty to just cleaned
-MOST_BYTES = 64 << 20
+MOST_BYTES, MOST_VALUES = 64 << 20, 8_000_000
 
 Recording = dict[str, Any]
 
@@ -119,21 +119,18 @@ def read_recording(path: Path) -> Recording:
 
     Raises BadInput where it cannot be read, is larger than 64 MiB, or is no recording.
     """
+    content = read_bytes(path, MOST_BYTES)
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise BadInput(f"{path}: is larger than {MOST_BYTES >> 20} MiB")
-        recording = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise BadInput(f"{path}: is not JSON; a {REPLAY} is valid") from error
+        recording = parse_json(content, MOST_VALUES)
+    except ValueError as error:
+        raise BadInput(f"{path}: is not JSON ({error}); a {REPLAY} is valid") from error
     if not isinstance(recording, dict) or recording.get("schema") != SCHEMA:
         raise BadInput(f"{path}: is no recording of schema {SCHEMA}")
     try:
         _Recording.model_validate(recording)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
-        place = ".".join(map(str, first["loc"]))
+        place = ".".join(map(str, first["loc"]))[:80]
         fault = first["msg"].removeprefix("Value error, ")
         raise BadInput(f"{path}: {place + ': ' if place else ''}{fault}") from error
     return recording

@@ -11,7 +11,7 @@ the newest whose manifest holds; nothing is ever unpickled.
 """
 
 import logging
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,11 +19,12 @@ from typing import Any
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
-from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 
 from marl_clean.errors import BadInput
 from marl_clean.storage import files
+from marl_clean.storage._header import read_header
+from marl_clean.storage._trees import decode, encode
 from marl_clean.storage.manifest import (
     FOLDER,
     MANIFEST,
@@ -51,6 +52,7 @@ DTYPES = {
     torch.bool: "BOOL",
 }
 CHANNEL = "channel."  # prefix of the names of weights that a channel has learnt
+BESIDE_WEIGHTS = 64 << 20  # bytes of a file beside a network's own: a header, another channel
 log = logging.getLogger(__name__)
 
 
@@ -83,7 +85,7 @@ class Checkpoints:
         """
         path = self.folder / f"{kind}-{frames:012d}"
         tensors: dict[str, Tensor] = {}
-        encoded = _encode(tree, "", tensors)
+        encoded = encode(tree, "", tensors)
         text = canonical({"frames": frames, "kind": kind, "notes": dict(notes), "tree": encoded})
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -111,10 +113,11 @@ class Checkpoints:
             return False
         return True
 
-    def newest(self, kind: str) -> Checkpoint | None:
+    def newest(self, kind: str, largest: int | None = None) -> Checkpoint | None:
         """Return the newest undamaged checkpoint of a kind; None if there is none at all.
 
-        A damaged one is passed over with one line in the log.
+        A damaged one is passed over with one line in the log, and so is one whose tensors are
+        longer than `largest` bytes.
 
         Raises:
             BadInput: every one of them is damaged.
@@ -122,7 +125,7 @@ class Checkpoints:
         candidates = paths(self.folder, kind)
         for path in candidates:
             try:
-                return _read(path)
+                return _read(path, largest)
             except Damaged as error:
                 log.warning("%s is damaged (%s): going back to the one before", path, error)
         if candidates:
@@ -141,15 +144,20 @@ class Checkpoints:
             files.remove_folder(path)
 
 
-def load_weights(run: Path) -> Checkpoint:
+def load_weights(run: Path, network: nn.Module | None = None) -> Checkpoint:
     """Return a run's best weights by their names in the network, or the final ones without best.
+
+    With the `network` that they are for, nothing is loaded that is far larger than it needs.
 
     Raises:
         BadInput: the run has saved none, or they are damaged.
     """
     checkpoints = Checkpoints(run / FOLDER)
+    largest = None
+    if network is not None:
+        largest = BESIDE_WEIGHTS + sum(own.nbytes for own in network.state_dict().values())
     for kind in WEIGHT_KINDS:
-        checkpoint = checkpoints.newest(kind)
+        checkpoint = checkpoints.newest(kind, largest)
         if checkpoint is not None:
             return checkpoint
     raise BadInput(f"{run}: has no weights yet; train it until its first evaluation")
@@ -165,7 +173,7 @@ def fit_weights(network: nn.Module, weights: Any, source: Path) -> None:
         BadInput: names, shapes or types differ from the network's, or a weight is not finite.
     """
     own = network.state_dict()
-    if isinstance(weights, dict):
+    if isinstance(weights, dict) and all(isinstance(name, str) for name in weights):
         channel = {name: w for name, w in own.items() if name.startswith(CHANNEL)}
         rest = {name: w for name, w in weights.items() if not name.startswith(CHANNEL)}
         weights = rest | {name: weights.get(name, w) for name, w in channel.items()}
@@ -182,47 +190,6 @@ def fit_weights(network: nn.Module, weights: Any, source: Path) -> None:
         if not saved.isfinite().all():
             raise BadInput(f"{source}: {name} holds NaN or infinity")
     network.load_state_dict(weights)
-
-
-def _encode(tree: Any, path: str, tensors: dict[str, Tensor]) -> Any:
-    """Turn a tree into JSON; its tensors are added to `tensors` in place, under their paths."""
-
-    def named(pairs: Iterable[tuple[Any, Any]]) -> list[Any]:
-        return [[key, _encode(value, f"{path}/{key}", tensors)] for key, value in pairs]
-
-    if isinstance(tree, Tensor):
-        name = path.removeprefix("/")
-        tensors[name] = tree.detach()
-        channels_last = tree.ndim == 4 and not tree.is_contiguous()
-        return {"tensor": name, "channels_last": channels_last}
-    if isinstance(tree, TensorDictBase):
-        return {"tensordict": named(tree.items()), "batch_size": list(tree.batch_size)}
-    if isinstance(tree, Mapping):
-        return {"dict": named(tree.items())}
-    if isinstance(tree, list | tuple):
-        kind = "list" if isinstance(tree, list) else "tuple"
-        return {kind: [value for _, value in named(enumerate(tree))]}
-    if tree is None or isinstance(tree, bool | int | float | str):
-        return tree
-    raise TypeError(f"{path}: a {type(tree).__name__} cannot be saved")
-
-
-def _decode(node: Any, tensors: Mapping[str, Tensor]) -> Any:
-    match node:
-        case {"tensor": str(name), "channels_last": bool(channels_last)}:
-            memory = torch.channels_last if channels_last else torch.contiguous_format
-            return tensors[name].clone(memory_format=memory)
-        case {"tensordict": list(pairs), "batch_size": list(batch_size)}:
-            return TensorDict({key: _decode(value, tensors) for key, value in pairs}, batch_size)
-        case {"dict": list(pairs)}:
-            return {key: _decode(value, tensors) for key, value in pairs}
-        case {"list": list(values)}:
-            return [_decode(value, tensors) for value in values]
-        case {"tuple": list(values)}:
-            return tuple(_decode(value, tensors) for value in values)
-        case None | bool() | int() | float() | str():
-            return node
-    raise Damaged(f"{STATE} is not a tree")
 
 
 def _safetensors(tensors: Mapping[str, Tensor]) -> Iterator[bytes | memoryview]:
@@ -245,13 +212,33 @@ def _safetensors(tensors: Mapping[str, Tensor]) -> Iterator[bytes | memoryview]:
         yield flat.view(torch.uint8).numpy().data
 
 
-def _read(path: Path) -> Checkpoint:
-    verify(path)
-    state = read_json(path / STATE)
+def _read(path: Path, largest: int | None) -> Checkpoint:
     try:
+        if largest is not None and (path / TENSORS).stat().st_size > largest:
+            raise Damaged(f"{TENSORS} is longer than the {largest:,} bytes that its config needs")
+        verify(path)
+        state = read_json(path / STATE)
+        _check_header(path / TENSORS)
         tensors = load_file(path / TENSORS)
-        tree = _decode(state["tree"], tensors)
-        return Checkpoint(int(state["frames"]), dict(state["notes"]), tree)
+        tree = decode(state["tree"], tensors)
+        if tensors:
+            raise Damaged(f"{STATE} does not name the tensor {min(tensors)[:40]!r}")
+        return Checkpoint(_frames(state["frames"]), dict(state["notes"]), tree)
+    except OSError as error:
+        raise Damaged(f"cannot be read: {error.strerror}") from error
     except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
         # A valid manifest does not mean that an untrusted file is a checkpoint.
         raise Damaged(f"not a checkpoint of ours, {type(error).__name__}") from error
+
+
+def _check_header(path: Path) -> None:
+    try:
+        read_header(path)
+    except ValueError as error:
+        raise Damaged(f"{path.name}: {error}") from error
+
+
+def _frames(frames: Any) -> int:
+    if type(frames) is not int or frames < 0:
+        raise Damaged(f"{STATE} holds no number of frames")
+    return frames

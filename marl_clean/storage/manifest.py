@@ -5,21 +5,24 @@ the manifest holds length and sha256 of the other two.
 """
 
 import json
-import math
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from marl_clean.errors import BadInput
 from marl_clean.storage import files
+from marl_clean.storage._header import read_header
+from marl_clean.storage.reading import TooLarge, parse_json, read_bytes
 
 FOLDER = "checkpoints"
 TENSORS, STATE, MANIFEST = "tensors.safetensors", "state.json", "manifest.json"
 WEIGHT_KINDS = ("best", "final")  # kinds that hold weights alone, in order of preference
 SCHEMA = 1
-LARGEST_JSON = 16 << 20
+LARGEST_MANIFEST, LARGEST_STATE = 1 << 12, 16 << 20  # bytes
+MOST_VALUES = 1_000_000
 NAME = re.compile(r"([a-z]+)-(\d{12})")
 
 
@@ -39,7 +42,7 @@ def verify(path: Path) -> dict[str, files.Digest]:
 
     Raises Damaged where a file is not what was written.
     """
-    manifest = read_json(path / MANIFEST)
+    manifest = read_json(path / MANIFEST, LARGEST_MANIFEST)
     digests = {}
     for name in (TENSORS, STATE):
         if (path / name).is_symlink() or not (path / name).is_file():
@@ -68,16 +71,8 @@ def count_weights(run: Path) -> int | None:
     """The number of parameters of a run's policy; None where it has no readable weights."""
     for kind in WEIGHT_KINDS:
         for path in paths(run / FOLDER, kind):
-            try:
-                with (path / TENSORS).open("rb") as file:
-                    length = int.from_bytes(file.read(8), "little")
-                    header = json.loads(file.read(min(length, LARGEST_JSON)))
-                shapes = [
-                    about["shape"] for name, about in header.items() if name != "__metadata__"
-                ]
-                return sum(math.prod(shape) for shape in shapes)
-            except (OSError, ValueError, TypeError, KeyError, AttributeError):
-                continue
+            with suppress(OSError, ValueError):
+                return sum(held.numel for held in read_header(path / TENSORS).values())
     return None
 
 
@@ -92,13 +87,15 @@ def canonical(tree: Any) -> bytes:
     return json.dumps(tree, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
 
-def read_json(path: Path) -> Any:
-    """The tree in a JSON file of bounded size. Raises Damaged where there is none."""
+def read_json(path: Path, largest: int = LARGEST_STATE) -> Any:
+    """The tree in a JSON file of at most `largest` bytes. Raises Damaged where there is none."""
     if path.is_symlink() or not path.is_file():
         raise Damaged(f"{path.name} is missing")
-    if path.stat().st_size > LARGEST_JSON:
-        raise Damaged(f"{path.name} is longer than {LARGEST_JSON} bytes")
     try:
-        return json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise Damaged(f"{path.name} is not JSON") from error
+        return parse_json(read_bytes(path, largest), MOST_VALUES)
+    except TooLarge as error:
+        raise Damaged(f"{path.name} is larger than {largest:,} bytes") from error
+    except BadInput as error:
+        raise Damaged(str(error)) from error
+    except ValueError as error:
+        raise Damaged(f"{path.name} is not JSON: {error}") from error

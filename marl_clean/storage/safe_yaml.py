@@ -1,6 +1,7 @@
-"""Yaml from outside: small, plain data only, no anchors."""
+"""Yaml from outside: small, plain data only, no anchors, no tags."""
 
 import reprlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -8,49 +9,91 @@ from typing import Any
 import yaml
 
 from marl_clean.errors import BadInput
+from marl_clean.storage.reading import TooLarge, read_bytes
 
 LARGEST_BYTES = 1 << 20
+MOST_VALUES = 30_000
 DEEPEST = 20  # sections inside sections
+LONGEST_KEY = 100  # characters
+LONGEST_WHOLE = 40  # characters: 64 bits in any base that yaml has
 BASE, SAFE = (  # libyaml's loaders read the same ten times as fast
     (yaml.CBaseLoader, yaml.CSafeLoader)
     if yaml.__with_libyaml__
     else (yaml.BaseLoader, yaml.SafeLoader)
 )
+BUILT = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("bool", "int", "float", "null"))
+
+
+class Plain(SAFE):  # type: ignore[misc, valid-type]
+    """Builds mappings, lists, str, int, float, bool and null alone: a date stays text."""
+
+    yaml_implicit_resolvers = {
+        first: [(tag, pattern) for tag, pattern in resolvers if tag in BUILT]
+        for first, resolvers in SAFE.yaml_implicit_resolvers.items()
+    }
+
+    def construct_whole(self, node: yaml.ScalarNode) -> int:
+        """A whole number. Raises ValueError for a longer one than any setting takes."""
+        if len(node.value) > LONGEST_WHOLE:
+            raise ValueError("a whole number longer than 64 bits")
+        return int(self.construct_yaml_int(node))
+
+
+Plain.add_constructor("tag:yaml.org,2002:int", Plain.construct_whole)
 
 
 def load_yaml(path: Path) -> Any:
-    """The data in a yaml file: mappings, lists, texts, numbers.
+    """The data in a yaml file: mappings with texts as keys, lists, texts, numbers, bools, null.
 
     A few hundred bytes of nested anchors can stand for gigabytes, and a few thousand brackets
     take seconds, so both are refused. Raises BadInput when the file cannot be read, is larger
     than 1 MiB or is no such yaml.
     """
     try:
-        if path.stat().st_size > LARGEST_BYTES:
-            raise BadInput(f"{path}: larger than 1 MiB; not a settings file")
-        text = path.read_text(encoding="utf-8")
+        text = read_bytes(path, LARGEST_BYTES).decode("utf-8")
         check_plain(text, path, DEEPEST)
-        return yaml.load(text, Loader=SAFE)
-    except OSError as error:
-        raise BadInput(f"{path}: {error.strerror}; give a yaml file that can be read") from error
+        tree = yaml.load(text, Loader=Plain)
+    except TooLarge as error:
+        raise BadInput(f"{path}: larger than 1 MiB; not a settings file") from error
     except BadInput:
         raise
-    except (yaml.YAMLError, ValueError) as error:  # ValueError: not UTF-8, or no such date
-        reason = str(error).splitlines()[0]
-        raise BadInput(f"{path}: not plain yaml ({reason})") from error
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: not UTF-8, or no such number
+        raise BadInput(f"{path}: not plain yaml ({reason_of(error)})") from error
+    for key in _keys(tree):
+        if not isinstance(key, str):
+            raise BadInput(f"{path}: the key {reprlib.repr(key)} is no text; write it in quotes")
+        if len(key) > LONGEST_KEY:
+            raise BadInput(f"{path}: the key {reprlib.repr(key)} is longer than {LONGEST_KEY}")
+    return tree
+
+
+def reason_of(error: Exception) -> str:
+    """What a yaml parser found, on one short line."""
+    if isinstance(error, yaml.MarkedYAMLError) and error.problem and error.problem_mark:
+        return f"{error.problem}, line {error.problem_mark.line + 1}"
+    return str(error).splitlines()[0]
 
 
 def check_plain(text: str, path: Path, deepest: int) -> None:
     """Check yaml as a stream of events, which builds nothing, before it is loaded.
 
-    Raises BadInput for anchors and aliases, for sections nested deeper than `deepest` and for a
-    key that stands twice in one section, and yaml.YAMLError for invalid yaml.
+    Raises BadInput for anchors, aliases and tags, for more than 30,000 values, for sections nested
+    deeper than `deepest` and for a key that stands twice in one section, and yaml.YAMLError for
+    invalid yaml.
     """
-    depth = 0
+    depth = count = 0
     sections = _OpenSections()
     for event in yaml.parse(text, Loader=BASE):
-        if isinstance(event, yaml.NodeEvent) and event.anchor is not None:
-            raise BadInput(f"{path}: yaml anchors and aliases are not read; write the values out")
+        if isinstance(event, yaml.NodeEvent):
+            count += 1
+            if event.anchor is not None:
+                raise BadInput(
+                    f"{path}: yaml anchors and aliases are not read; write the values out"
+                )
+            if getattr(event, "tag", None) is not None:
+                raise BadInput(f"{path}: not plain yaml, the tag {reprlib.repr(event.tag)}")
+        if count > MOST_VALUES:
+            raise BadInput(f"{path}: not plain yaml, more than {MOST_VALUES:,} values")
         if isinstance(event, yaml.CollectionStartEvent):
             depth += 1
         elif isinstance(event, yaml.CollectionEndEvent):
@@ -59,6 +102,16 @@ def check_plain(text: str, path: Path, deepest: int) -> None:
             raise BadInput(f"{path}: not plain yaml, nested more than {deepest} sections deep")
         if (twice := sections.repeated(event)) is not None:
             raise BadInput(f"{path}: the key {reprlib.repr(twice)} stands twice; once is valid")
+
+
+def _keys(tree: Any) -> Iterator[Any]:
+    """The keys of all mappings in a tree."""
+    if isinstance(tree, dict):
+        yield from tree
+        tree = list(tree.values())
+    if isinstance(tree, list):
+        for value in tree:
+            yield from _keys(value)
 
 
 class _OpenSections:

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from marl_clean.errors import BadInput
 from marl_clean.storage import files
+from marl_clean.storage.reading import open_ordinary
 
 log = logging.getLogger(__name__)
 FILE = "first_updates.json"
@@ -23,13 +24,13 @@ LARGEST = 10_000  # bytes of such a file
 class Updated(BaseModel, strict=True, frozen=True):
     """The weights after a block: `updates` so far, from `frames`, and what they hash to."""
 
-    frames: Annotated[int, Field(ge=0)]
-    updates: Annotated[int, Field(ge=1)]
+    frames: Annotated[int, Field(ge=0, lt=2**63)]
+    updates: Annotated[int, Field(ge=1, lt=2**63)]
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 
 class _File(BaseModel, strict=True):
-    version: int
+    version: Annotated[int, Field(lt=2**63)]
     updated: Annotated[list[Updated], Field(max_length=BLOCKS)]
 
 
@@ -96,7 +97,7 @@ def read(path: Path) -> list[Updated]:
         BadInput: it cannot be read, or is not such a file.
     """
     try:
-        with path.open("rb") as file:
+        with open_ordinary(path) as file:
             text = file.read(LARGEST + 1)
         if len(text) > LARGEST:
             raise BadInput(f"{path}: is larger than {LARGEST} bytes")

@@ -1,12 +1,17 @@
 """Floor plan files and settings that cannot be used: each named in one line."""
 
 import math
+import tracemalloc
 from pathlib import Path
 
 import pytest
+import yaml
 
 from marl_clean.errors import BadInput
+from marl_clean.house import _floorplan_readers
+from marl_clean.house.drawn import Drawn
 from marl_clean.house.floorplan import FloorPlan
+from marl_clean.storage import safe_yaml
 from tests.house.test_floorplan import saved
 
 
@@ -19,6 +24,7 @@ from tests.house.test_floorplan import saved
         ({"image": '"a\\0b"'}, "not a file name"),
         ({"image": "[a]"}, "not a file name"),
         ({"image": ""}, "not a file name"),
+        ({"image": '"\\ud800.pgm"'}, "not yaml"),
         ({"image": "x" * 300}, "missing"),
         ({"image": "plan.yaml"}, "not an image"),
         ({"image": None}, "image is missing"),
@@ -29,6 +35,7 @@ from tests.house.test_floorplan import saved
         ({"resolution": "[1]"}, "not a number"),
         ({"resolution": "1e300"}, "house.cell_metres"),
         ({"resolution": "1e-300"}, "house.cell_metres"),
+        ({"resolution": "1e308"}, "make over 1,000,000 x over 1,000,000 cells"),
         ({"resolution": None}, "resolution is missing"),
         ({"origin": "[0, 0]"}, "origin"),
         ({"origin": "[0, 0, up]"}, "origin 'up' is not a number"),
@@ -55,7 +62,18 @@ def test_a_wrong_yaml_is_named_in_one_line(
     plan = saved(tmp_path, [[254, 254]], **changed)
     with pytest.raises(BadInput, match=f"plan.yaml: .*({reason})") as caught:
         plan.layout()
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
+
+
+def test_half_a_surrogate_pair_is_no_name_for_a_reader_that_lets_it_through(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = saved(tmp_path, [[254, 254]], image='"\\ud800.pgm"')
+    monkeypatch.setattr(safe_yaml, "BASE", yaml.BaseLoader)  # as without libyaml
+    monkeypatch.setattr(_floorplan_readers, "BASE", yaml.BaseLoader)
+    with pytest.raises(BadInput, match="plan.yaml: image .* is not a file name") as caught:
+        plan.layout()
+    assert str(caught.value).isprintable()
 
 
 @pytest.mark.parametrize("text", ["", "- 1", "hello", "\xff", "a: 1\n---\nb: 2"])
@@ -112,6 +130,20 @@ def test_other_wrong_files_are_named_in_one_line(
     with pytest.raises(BadInput, match=f"{name}.*{reason}") as caught:
         FloorPlan(str(tmp_path / name)).layout()
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", [".map", ".txt"])
+def test_millions_of_lines_are_refused_before_they_are_split(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"plan{suffix}"
+    path.write_bytes(b"\n" * (16 * 2**20 - 1) + b".")
+    house = Drawn(str(path)) if suffix == ".txt" else FloorPlan(str(path))
+    tracemalloc.start()
+    try:
+        with pytest.raises(BadInput, match="more than 4096 rows"):
+            house.layout()
+        assert tracemalloc.get_traced_memory()[1] < 64 * 2**20  # the file and a copy
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_path_and_lengths_are_asked_for() -> None:
