@@ -54,6 +54,10 @@ CHANNEL = "channel."  # prefix of the names of weights that a channel has learnt
 log = logging.getLogger(__name__)
 
 
+class AllDamaged(BadInput):
+    """Every checkpoint of a kind is damaged; the message says how the newest is."""
+
+
 @dataclass(frozen=True)
 class Checkpoint:
     """One saved state of a run: its frames, notes beside it, and the tree itself."""
@@ -86,7 +90,7 @@ class Checkpoints:
         encoded = _encode(tree, "", tensors)
         text = canonical({"frames": frames, "kind": kind, "notes": dict(notes), "tree": encoded})
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            files.make_folder(self.folder)
             files.clear_leftovers(self.folder)
             if self._holds(path):  # a resumed run comes here again: same frames, same state
                 return
@@ -117,16 +121,22 @@ class Checkpoints:
         A damaged one is passed over with one line in the log.
 
         Raises:
-            BadInput: every one of them is damaged.
+            AllDamaged: none of them is whole.
         """
-        candidates = paths(self.folder, kind)
-        for path in candidates:
+        damaged: list[str] = []
+        for path in paths(self.folder, kind):
             try:
-                return _read(path)
+                checkpoint = _read(path)
             except Damaged as error:
-                log.warning("%s is damaged (%s): going back to the one before", path, error)
-        if candidates:
-            raise BadInput(f"{self.folder}: every {kind} checkpoint is damaged; start a new run")
+                damaged.append(f"{path} is damaged ({error})")
+                continue
+            for line in damaged:
+                log.warning("%s: going back to the one before", line)
+            return checkpoint
+        if damaged:
+            raise AllDamaged(
+                f"{self.folder}: every {kind} checkpoint is damaged; start a new run ({damaged[0]})"
+            )
         return None
 
     def forget_after(self, frames: int) -> None:
@@ -136,7 +146,8 @@ class Checkpoints:
                 files.remove_folder(path)
 
     def remove(self, kind: str) -> None:
-        """Remove every checkpoint of a kind, the oldest first."""
+        """Remove every checkpoint of a kind, the oldest first, and what crashes have left."""
+        files.clear_leftovers(self.folder)
         for path in reversed(paths(self.folder, kind)):
             files.remove_folder(path)
 
