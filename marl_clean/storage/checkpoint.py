@@ -92,11 +92,10 @@ class Checkpoints:
         try:
             files.make_folder(self.folder)
             files.clear_leftovers(self.folder)
-            if self._holds(path):  # a resumed run comes here again: same frames, same state
-                return
-            contents = {TENSORS: _safetensors(tensors), STATE: [text]}
-            files.write_folder(path, contents, MANIFEST, make_manifest)
-            verify(path)
+            if not self._holds(path):  # a resumed run comes here again: same frames, same state
+                contents = {TENSORS: _safetensors(tensors), STATE: [text]}
+                files.write_folder(path, contents, MANIFEST, make_manifest)
+                verify(path)
         except OSError as error:
             raise BadInput(f"{path}: cannot be saved: {error.strerror}") from error
         except Damaged as error:
@@ -140,7 +139,8 @@ class Checkpoints:
         return None
 
     def forget_after(self, frames: int) -> None:
-        """Remove what was saved after `frames`: a run that resumes there saves it again."""
+        """Remove what was saved after `frames`, which a run that resumes there saves again."""
+        files.clear_leftovers(self.folder)
         for path in paths(self.folder):
             if int(path.name.rpartition("-")[2]) > frames:
                 files.remove_folder(path)

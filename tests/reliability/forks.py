@@ -13,7 +13,7 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -22,7 +22,9 @@ from unittest import mock
 
 from omegaconf import DictConfig
 
+from marl_clean.cli import BAD_INPUT
 from marl_clean.commands import train as command
+from marl_clean.errors import BadInput
 from marl_clean.logger.csv import Csv
 from marl_clean.storage import files
 from marl_clean.storage.checkpoint import Checkpoints
@@ -62,23 +64,33 @@ class Fork:
     """A training in a fork of this process, which is waited for.
 
     Args:
-        kill: after which letter, for which time, and how many seconds later it is killed.
+        kill: when it is killed; None: it is not.
+        within: a context of its own, in which it trains.
+        may_refuse: that it ends with bad input is no fault.
 
     Attributes:
         parts: the letters that it wrote, and the seconds until the next.
         killed: whether the kill came before its end.
+        refused: the line with which it ended; empty where it did not end so.
 
     Raises Broken where it ended otherwise, or does nothing for two minutes.
     """
 
-    def __init__(self, config: DictConfig, folder: Path, kill: Moment | None = None) -> None:
+    def __init__(
+        self,
+        config: DictConfig,
+        folder: Path,
+        kill: Moment | None = None,
+        within: AbstractContextManager[None] | None = None,
+        may_refuse: bool = False,
+    ) -> None:
         self.errors = folder.with_suffix(".txt")
         self.pipe, writing = os.pipe()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of threads that pytest may have
             self.pid = os.fork()
         if not self.pid:
-            self._train(config, folder, writing)
+            self._train(config, folder, writing, within or nullcontext())
         os.close(writing)
         letters, times = "", []
         for letter in self._letters():
@@ -92,10 +104,13 @@ class Fork:
         _, status = os.waitpid(self.pid, 0)
         code = os.waitstatus_to_exitcode(status)
         self.killed = code == -signal.SIGKILL and kill is not None
-        if code and not self.killed:
+        self.refused = self.errors.read_text() if code == BAD_INPUT and may_refuse else ""
+        if code and not self.killed and not self.refused:
             raise Broken(f"{folder.name} ends with {code}: {self.errors.read_text()[-2000:]}")
 
-    def _train(self, config: DictConfig, folder: Path, pipe: int) -> None:
+    def _train(
+        self, config: DictConfig, folder: Path, pipe: int, within: AbstractContextManager[None]
+    ) -> None:
         """Train, in the fork, which never returns."""
         code = 1
         try:
@@ -104,9 +119,12 @@ class Fork:
             sys.stderr = os.fdopen(errors, "w", buffering=1)
             # Else locks of TorchRL's, which a kill leaves behind, wait for the end of this process.
             multiprocessing.set_start_method("fork", force=True)
-            with letters_into(pipe):
+            with letters_into(pipe), within:
                 train(config, folder)
             code = 0
+        except BadInput as error:
+            code = BAD_INPUT
+            sys.stderr.write(f"{error}\n")
         except BaseException:
             traceback.print_exc()
         finally:

@@ -17,6 +17,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from tests.reliability.forks import PHASES, REMOVE, SAVE, Broken, Fork, Moment, 
 
 TINY = [
     *("env.num_envs=2", "house.rows=[4,5]", "house.cols=[4,6]", "train_houses=4"),
-    *("env.max_steps=5", "evaluation.houses=1", "evaluation.plans=[]", "logger=[csv]"),
+    *("env.max_steps=5", "evaluation.houses=1", "evaluation.plans=[]", "logger=[csv,tensorboard]"),
     *("observation.view_size=5", "encoder.channels=[2]", "encoder.strides=[2]"),
     *("encoder.hidden=[4]", "comm.message_dim=3", "trainer.total_frames=48"),
     *("trainer.frames_per_batch=8", "trainer.log_interval_frames=8"),
@@ -140,17 +141,20 @@ class Training:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file below a folder, hidden ones too."""
+    """Every file below a folder, hidden ones too; but for TensorBoard's, which hold the time."""
     paths = (path for path in folder.rglob("*") if path.is_file())
-    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+    names = {str(path.relative_to(folder)): path for path in paths}
+    return {name: path.read_bytes() for name, path in names.items() if "tfevents" not in name}
 
 
-def fire(trainings: Sequence[Training], trials: int, seed: int = 0) -> Seen:
-    """Kill runs of these trainings in turn, `trials` times in all.
+def fire(
+    trainings: Sequence[Training], trials: int, seed: int = 0, seen: Seen | None = None
+) -> Seen:
+    """Kill runs of these trainings in turn, `trials` times in all; return what was seen.
 
-    Raises Broken where a promise did not hold.
+    `seen` holds it before the end too. Raises Broken where a promise did not hold.
     """
-    draw, seen = random.Random(seed), Seen()
+    draw, seen = random.Random(seed), seen or Seen()
     while left := trials - seen.kills.total():
         training = trainings[seen.runs % len(trainings)]
         training.fire_at(draw, min(left, draw.randint(1, MOST_KILLS)), seen)
@@ -164,10 +168,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    began = time.monotonic()
-    with tempfile.TemporaryDirectory() as place:
+    began, seen = time.monotonic(), Seen()
+    with suppress(KeyboardInterrupt), tempfile.TemporaryDirectory() as place:
         trainings = [Training(kind, Path(place)) for kind in arguments.kinds]
-        seen = fire(trainings, arguments.trials, arguments.seed)
+        fire(trainings, arguments.trials, arguments.seed, seen)
     kinds = ", ".join(arguments.kinds)
     sys.stdout.write(f"{kinds}: {seen}; {time.monotonic() - began:.0f} s\n")
 
