@@ -97,8 +97,9 @@ def main(cfg: DictConfig) -> list[Row]:
         "growth": growth,
         "training": [asdict(cost) for cost in training],
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    files.write_file(path, [json.dumps(content, indent=1).encode()])
+    with files.writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        files.write_file(path, [json.dumps(content, indent=1).encode()])
     console.print(f"written to {path}")
     return rows
 

@@ -106,7 +106,9 @@ def main(
         }
         for kind, rows in beside.items():
             text = json.dumps(rows, indent=1) + "\n"
-            files.write_file(out.with_name(f"{out.stem}_{kind}.json"), [text.encode()])
+            path = out.with_name(f"{out.stem}_{kind}.json")
+            with files.writing(path):
+                files.write_file(path, [text.encode()])
     if export is not None:
         for path in write_exports(export, worlds):
             console.print(f"written to {path}", soft_wrap=True)

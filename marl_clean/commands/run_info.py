@@ -19,6 +19,7 @@ from marl_clean.config.stored import CONFIG, METRICS
 from marl_clean.errors import BadInput
 from marl_clean.storage import manifest
 from marl_clean.storage.lock import Holder, holder
+from marl_clean.storage.pictures import is_whole
 from marl_clean.storage.reading import DECODER, parse_json, read_bytes
 
 MEASURED, PICTURES = "evaluation.json", ("curve.png", "replay.gif")
@@ -115,7 +116,7 @@ def is_finished(config: DictConfig, folder: Path) -> bool:
     from marl_clean.evaluation.records import read_entries
 
     pictures = PICTURES if has_houses(config) else PICTURES[:1]
-    if not all((folder / name).is_file() for name in pictures):
+    if not all(is_whole(folder / name) for name in pictures):
         return False
     if not manifest.paths(folder / manifest.FOLDER, "final"):
         return False

@@ -29,12 +29,14 @@ from marl_clean.evaluation.records import MEASURED, Entry, Torn, read_entries, w
 from marl_clean.evaluation.table import make_table, output
 from marl_clean.logger.base import Logger
 from marl_clean.report.curve import draw_curve
+from marl_clean.report.metrics import read_metrics
 from marl_clean.report.origin import Origin
-from marl_clean.report.recorded import REPLAY
+from marl_clean.report.recorded import REPLAY, read_recording
 from marl_clean.report.recording import make_recording
 from marl_clean.report.replay import make_replay
 from marl_clean.storage import files, manifest
 from marl_clean.storage.lock import locked
+from marl_clean.storage.pictures import is_whole
 from marl_clean.trainer._first_updates import FirstUpdates
 from marl_clean.trainer._outcome import Outcome
 from marl_clean.trainer._share import share_maker
@@ -114,8 +116,9 @@ def train(
     loggers = [instantiate(section, folder=folder) for section in cfg.logger.values()]
     loggers += more_loggers
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        files.write_file(folder / CONFIG, [OmegaConf.to_yaml(cfg, resolve=True).encode()])
+        files.make_folder(folder)
+        files.clear_leftovers(folder)
+        write_config(cfg, folder / CONFIG)
     except OSError as error:
         raise BadInput(f"name={cfg.name}: {folder} cannot be written: {error.strerror}") from error
     if not manifest.paths(folder / manifest.FOLDER, "final"):
@@ -131,6 +134,18 @@ def train(
         make_share=share_maker(cfg),
         first_updates=first_updates,
     )
+
+
+def write_config(cfg: DictConfig, path: Path) -> None:
+    """Write a run's config, unless the file holds it; that it was torn is said in one line."""
+    text = OmegaConf.to_yaml(cfg, resolve=True).encode()
+    if path.exists():
+        before = path.read_bytes()
+        if before == text:
+            return
+        if text.startswith(before):
+            log.warning("%s: is torn; written again from the settings given", path)
+    files.write_file(path, [text])
 
 
 def measured_before(folder: Path) -> list[Entry] | None:
@@ -222,15 +237,48 @@ def draw(cfg: DictConfig, folder: Path) -> bool:
     Return whether an episode was drawn.
     """
     metrics, curve, replay = (folder / name for name in (METRICS, "curve.png", GIF))
-    if metrics.is_file() and not curve.is_file():
+    if has_rows(cfg, metrics) and not drawn_before(curve):
         origin = Origin(command_line(), [config_hash(cfg)])
         draw_curve(metrics, curve, origin, planner_means(cfg) if has_houses(cfg) else None)
     recording = folder / REPLAY
-    if not has_houses(cfg) or (replay.is_file() and recording.is_file()):
+    if not has_houses(cfg) or (drawn_before(replay) and recorded_before(recording)):
         return False
     policy = build.load_policy(folder).to(cfg.device)
     make_replay(cfg, lambda env: policy, replay, cfg.evaluation.epsilon)
     make_recording(cfg, lambda env: policy, recording, cfg.evaluation.epsilon)
+    return True
+
+
+def has_rows(cfg: DictConfig, metrics: Path) -> bool:
+    """Whether what the run logged can be read; a line says so where it should be and cannot."""
+    if "csv" not in cfg.logger and not metrics.exists():
+        return False
+    try:
+        read_metrics(metrics)
+    except BadInput as error:
+        log.warning("%s; a finished run cannot write it again", error)
+        return False
+    return True
+
+
+def drawn_before(picture: Path) -> bool:
+    """Whether a picture is there, and whole; where it is not whole, a line says so."""
+    if is_whole(picture):
+        return True
+    if picture.exists():
+        log.warning("%s: is not whole; drawn again", picture)
+    return False
+
+
+def recorded_before(recording: Path) -> bool:
+    """Whether an episode's recording is there, and whole; else as `drawn_before`."""
+    if not recording.exists():
+        return False
+    try:
+        read_recording(recording)
+    except BadInput as error:
+        log.warning("%s; recorded again", error)
+        return False
     return True
 
 

@@ -25,7 +25,10 @@ class Logger(ABC):
 
     @abstractmethod
     def resume(self, frames: int) -> None:
-        """Forget what was logged after `frames`: the run resumes there."""
+        """Forget what was logged after `frames`: the run resumes there.
+
+        Called after `restore` where the run's state holds what this logger has logged.
+        """
 
     @abstractmethod
     def log(self, frames: int, values: Mapping[str, float]) -> None:
@@ -34,6 +37,13 @@ class Logger(ABC):
     @abstractmethod
     def close(self) -> None:
         """Write everything to the disk."""
+
+    def state(self) -> str:
+        """Return what was logged so far, for the run's state; empty where it is not needed."""
+        return ""
+
+    def restore(self, state: str) -> None:  # noqa: B027, most have no state
+        """Have logged what `state` holds, whatever became of the files."""
 
     def add_replay(self, gif: Path, frames: int) -> None:  # noqa: B027, most hold numbers alone
         """Show the replay of a run that ended after `frames` frames, where pictures are shown.

@@ -60,6 +60,7 @@ class Wandb(Logger):
         """The id of the run that is resumed, or a new one: a name alone may have been used."""
         path = self.folder / "wandb" / "id.txt"
         if not frames or not path.is_file():
-            path.parent.mkdir(exist_ok=True)
-            files.write_file(path, [uuid.uuid4().hex[:16].encode()])
+            with files.writing(path):
+                path.parent.mkdir(exist_ok=True)
+                files.write_file(path, [uuid.uuid4().hex[:16].encode()])
         return path.read_text(encoding="ascii")

@@ -42,7 +42,8 @@ def draw_curve(
     with matplotlib.rc_context(STYLE):
         figure = plot_curve(read_metrics(metrics), rival or {})
         figure.savefig(content, dpi=150, format="png", metadata=origin.metadata())
-    files.write_file(path, [content.getvalue()])
+    with files.writing(path):
+        files.write_file(path, [content.getvalue()])
 
 
 def plot_curve(columns: Mapping[str, Series], rival: Mapping[str, float]) -> Figure:

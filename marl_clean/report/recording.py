@@ -46,7 +46,8 @@ def make_recording(
     """Write the episode in the first held-out house of `cfg` to `path`: that of `replay.gif`."""
     recording = record(first_held_out(cfg), policy_for, epsilon)
     text = json.dumps({"policy": cfg.name, **recording}, separators=(",", ":"), allow_nan=False)
-    files.write_file(path, [text.encode()])
+    with files.writing(path):
+        files.write_file(path, [text.encode()])
 
 
 def record(env: TransformedEnv, policy_for: PolicyFor, epsilon: float = 0.0) -> Recording:

@@ -38,8 +38,9 @@ def write_gif(path: Path, episode: Iterable[Scene], max_bytes: int = MAX_BYTES) 
         if len(content) <= max_bytes or len(shown) <= 2:
             break
         stride = max(stride + 1, -(-stride * len(content) // max_bytes))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    files.write_file(path, [content])
+    with files.writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        files.write_file(path, [content])
 
 
 def drawn(episode: Iterable[Scene]) -> list[Image.Image]:

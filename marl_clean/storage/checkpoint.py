@@ -56,6 +56,10 @@ BESIDE_WEIGHTS = 64 << 20  # bytes of a file beside a network's own: a header, a
 log = logging.getLogger(__name__)
 
 
+class AllDamaged(BadInput):
+    """Every checkpoint of a kind is damaged; the message says how the newest is."""
+
+
 @dataclass(frozen=True)
 class Checkpoint:
     """One saved state of a run: its frames, notes beside it, and the tree itself."""
@@ -88,13 +92,12 @@ class Checkpoints:
         encoded = encode(tree, "", tensors)
         text = canonical({"frames": frames, "kind": kind, "notes": dict(notes), "tree": encoded})
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            files.make_folder(self.folder)
             files.clear_leftovers(self.folder)
-            if self._holds(path):  # a resumed run comes here again: same frames, same state
-                return
-            contents = {TENSORS: _safetensors(tensors), STATE: [text]}
-            files.write_folder(path, contents, MANIFEST, make_manifest)
-            verify(path)
+            if not self._holds(path):  # a resumed run comes here again: same frames, same state
+                contents = {TENSORS: _safetensors(tensors), STATE: [text]}
+                files.write_folder(path, contents, MANIFEST, make_manifest)
+                verify(path)
         except OSError as error:
             raise BadInput(f"{path}: cannot be saved: {error.strerror}") from error
         except Damaged as error:
@@ -120,26 +123,34 @@ class Checkpoints:
         longer than `largest` bytes.
 
         Raises:
-            BadInput: every one of them is damaged.
+            AllDamaged: none of them is whole.
         """
-        candidates = paths(self.folder, kind)
-        for path in candidates:
+        damaged: list[str] = []
+        for path in paths(self.folder, kind):
             try:
-                return _read(path, largest)
+                checkpoint = _read(path, largest)
             except Damaged as error:
-                log.warning("%s is damaged (%s): going back to the one before", path, error)
-        if candidates:
-            raise BadInput(f"{self.folder}: every {kind} checkpoint is damaged; start a new run")
+                damaged.append(f"{path} is damaged ({error})")
+                continue
+            for line in damaged:
+                log.warning("%s: going back to the one before", line)
+            return checkpoint
+        if damaged:
+            raise AllDamaged(
+                f"{self.folder}: every {kind} checkpoint is damaged; start a new run ({damaged[0]})"
+            )
         return None
 
     def forget_after(self, frames: int) -> None:
-        """Remove what was saved after `frames`: a run that resumes there saves it again."""
+        """Remove what was saved after `frames`, which a run that resumes there saves again."""
+        files.clear_leftovers(self.folder)
         for path in paths(self.folder):
             if int(path.name.rpartition("-")[2]) > frames:
                 files.remove_folder(path)
 
     def remove(self, kind: str) -> None:
-        """Remove every checkpoint of a kind, the oldest first."""
+        """Remove every checkpoint of a kind, the oldest first, and what crashes have left."""
+        files.clear_leftovers(self.folder)
         for path in reversed(paths(self.folder, kind)):
             files.remove_folder(path)
 

@@ -9,9 +9,12 @@ import errno
 import hashlib
 import os
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+from marl_clean.errors import BadInput
 
 HIDDEN = ".partial-"
 PIECE = 1 << 20
@@ -27,6 +30,26 @@ class Digest:
 
 Content = Iterable[bytes | memoryview]
 Summarise = Callable[[dict[str, Digest]], bytes]
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Say in one line what the disk refuses within this context, such as to hold more.
+
+    Raises BadInput, which names `path`, in place of an OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder `path`, and those around it, so that they survive a power cut."""
+    missing = [place for place in (path, *path.parents) if not place.exists()]
+    path.mkdir(parents=True, exist_ok=True)
+    for place in reversed(missing):
+        _flush(place.parent)
 
 
 def write_file(path: Path, content: Content) -> Digest:
@@ -75,6 +98,7 @@ def remove_folder(path: Path) -> None:
     hidden = _hidden(path)
     shutil.rmtree(hidden, ignore_errors=True)
     os.rename(path, hidden)
+    _flush(path.parent)  # else a power cut may undo the rename alone
     shutil.rmtree(hidden, ignore_errors=True)
 
 

@@ -51,12 +51,12 @@ class FirstUpdates:
         self.updated: list[Updated] = []
         self.complete = False
 
-    def resume(self, frames: int) -> None:
-        """Go on after `frames`: what a run noted until then stays.
+    def resume(self, frames: int, updates: int) -> None:
+        """Go on after `frames` and `updates`: what a run noted until then stays.
 
         A run whose first notes are missing or damaged notes no others, which are not its first.
         """
-        if not frames:
+        if not updates:  # there is nothing that it could have noted
             return
         try:
             self.updated = [each for each in read(self.path) if each.frames <= frames]

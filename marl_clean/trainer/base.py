@@ -25,7 +25,8 @@ from marl_clean.trainer._curriculum import Curriculum
 from marl_clean.trainer._first_updates import FirstUpdates
 from marl_clean.trainer._frames import IN_THE_TRAINER, check_frames
 from marl_clean.trainer._interrupts import Interrupts, Stopped
-from marl_clean.trainer._outcome import Outcome
+from marl_clean.trainer._loggers import Loggers
+from marl_clean.trainer._outcome import Outcome, earlier_outcome
 from marl_clean.trainer._random import random_state, restore_random
 from marl_clean.trainer._remote import make_collecting
 from marl_clean.trainer._selection import Best
@@ -107,13 +108,14 @@ class Trainer(ABC):
             SystemExit: 143 or 130, after SIGTERM or SIGINT, when the state is saved.
         """
         checkpoints = Checkpoints(folder / FOLDER)
-        if (final := checkpoints.newest("final")) is not None:
-            return Outcome(final.frames, final.notes["updates"], final.notes["best"], True)
+        if (outcome := earlier_outcome(checkpoints)) is not None:
+            return outcome
         self.check(env, agent)
         loop = self.begin(env, agent, evaluate, list(loggers), checkpoints, make_share)
         first = first_updates or FirstUpdates(folder)
         try:
-            first.resume(loop.resume())
+            loop.resume()
+            first.resume(loop.frames, loop.updates)
             with Interrupts() as interrupts, Progress(self.total_frames, loop.frames) as progress:
                 if start_is_candidate and not loop.frames:
                     with suppress(Stopped):  # the loop sees the signal
@@ -145,8 +147,8 @@ class TrainingLoop(ABC):
         checkpoints: Checkpoints,
         make_share: MakeShare | None = None,
     ) -> None:
-        self.settings, self.env, self.agent = settings, env, agent
-        self.evaluate, self.loggers, self.checkpoints = evaluate, loggers, checkpoints
+        self.settings, self.env, self.agent, self.evaluate = settings, env, agent, evaluate
+        self.loggers, self.checkpoints = Loggers(loggers), checkpoints
         self.curriculum = Curriculum(*settings.curriculum)
         self.curriculum.open_houses(env.base_env)
         shown = settings.imitate_frames_share * settings.total_frames
@@ -217,8 +219,7 @@ class TrainingLoop(ABC):
                 **self.curriculum.measures(),
                 f"{CLOCK}frames_per_second": progress.frames_per_second(self.frames),
             }
-            for logger in self.loggers:
-                logger.log(self.frames, row)
+            self.loggers.log(self.frames, row)
             self.logged = self.frames
         progress.show(self.frames, row)
 
@@ -255,25 +256,24 @@ class TrainingLoop(ABC):
             "tally": self.tally.state(),
             "curriculum": self.curriculum.state(),
             "annealing": {"share": self.annealing.share},
+            "loggers": self.loggers.state(),
             "random": random_state(self.env.device),
         }
         self.checkpoints.save("state", self.frames, state, {})
 
-    def resume(self) -> int:
-        """Resume from the newest state, if there is one; return its frames."""
+    def resume(self) -> None:
+        """Resume from the newest state, if there is one."""
         newest = self.checkpoints.newest("state")
-        if newest is not None:
-            self._restore(newest.tree)
+        state = {} if newest is None else newest.tree
+        if state:
+            self._restore(state)
             self.checkpoints.forget_after(self.frames)
             self.best.save()
         self.annealing.set(self.agent, self.env, self.frames / self.settings.total_frames)
-        for logger in self.loggers:
-            logger.resume(self.logged)
-        return self.frames
+        self.loggers.resume(self.logged, state.get("loggers", {}))  # earlier versions saved none
 
     def _restore(self, state: dict[str, Any]) -> None:
-        for name, value in state["counters"].items():
-            setattr(self, name, value)
+        vars(self).update(state["counters"])
         self.best.record = state["best"]
         self.agent.load_state_dict(state["agent"])
         self.collectors.restore(state)
@@ -287,7 +287,8 @@ class TrainingLoop(ABC):
         restore_random(state["random"], self.env.device)
 
     def finish(self) -> Outcome:
-        """Save the last weights; the states are then of no more use."""
+        """Write the last rows, save the last weights; the states are then of no more use."""
+        self.loggers.close()
         notes = {"updates": self.updates, "best": self.best.summary()}
         self.checkpoints.save("final", self.frames, self._weights(), notes)
         self.checkpoints.remove("state")
@@ -296,5 +297,4 @@ class TrainingLoop(ABC):
     def close(self) -> None:
         """Let go of the collectors, and put all rows on the disk."""
         self.collectors.shutdown()
-        for logger in self.loggers:
-            logger.close()
+        self.loggers.close()

@@ -105,17 +105,18 @@ def test_a_resumed_run_keeps_what_it_noted_until_then(tmp_path: Path) -> None:
     assert [each.updates for each in noted] == [1, 2, 3]
     assert len({each.sha256 for each in noted}) == 3
     resumed = FirstUpdates(tmp_path)
-    resumed.resume(128)
+    resumed.resume(128, 1)
     assert resumed.updated == noted[:1]
     for damage in (lambda: (tmp_path / FILE).write_text("{"), (tmp_path / FILE).unlink):
         damage()
         late = FirstUpdates(tmp_path)
-        late.resume(128)
+        late.resume(128, 1)
         late.note(192, 2, network)
         assert late.updated == []  # the third block is not its first
     anew = FirstUpdates(tmp_path)
-    anew.resume(0)
-    assert anew.updated == []
+    anew.resume(64, 0)  # nothing had been learnt
+    anew.note(128, 1, network)
+    assert [each.frames for each in anew.updated] == [128]
 
 
 def test_a_digest_is_of_names_shapes_and_bits() -> None:

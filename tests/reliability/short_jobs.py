@@ -83,7 +83,7 @@ def finish(config: Any, folder: Path) -> None:
 
     from marl_clean.config.config_hash import config_hash
     from marl_clean.evaluation.records import make_entry, write_entries
-    from marl_clean.storage import files, manifest
+    from marl_clean.storage import files, manifest, pictures
 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
@@ -98,7 +98,7 @@ def finish(config: Any, folder: Path) -> None:
         make_entry("nearest_unknown", "test", config_hash(config), 0.0, 2, houses(50)),
     ]
     for name in ("curve.png", "replay.gif"):
-        (folder / name).write_bytes(b"drawn")
+        (folder / name).write_bytes(b"".join(pictures.WHOLE[Path(name).suffix]))
     write_entries(folder / "evaluation.json", entries)
 
 
