@@ -24,6 +24,7 @@ from torch import Tensor, nn
 
 from marl_clean.errors import BadInput
 from marl_clean.storage import files
+from marl_clean.storage.finite import Diverged, not_finite
 from marl_clean.storage.manifest import (
     FOLDER,
     MANIFEST,
@@ -80,7 +81,10 @@ class Checkpoints:
 
         Raises:
             BadInput: the disk refuses, or returns something else; older ones stay.
+            Diverged: something in it is NaN or infinite; nothing is written.
         """
+        if bad := [*not_finite(tree), *not_finite(notes)]:
+            raise Diverged(f"frame {frames}: {bad[0]} is NaN or infinite; {kind} is not saved")
         path = self.folder / f"{kind}-{frames:012d}"
         tensors: dict[str, Tensor] = {}
         encoded = _encode(tree, "", tensors)
