@@ -33,7 +33,7 @@ class ConvolutionOfOneCell(nn.Conv2d):
     to, up to 3e38, and other numbers in the next run.
     """
 
-    def forward(self, input: Float[Tensor, "batch channel 1 1"]) -> Float[Tensor, "batch *image"]:
+    def forward(self, input: Float[Tensor, "square channel 1 1"]) -> Float[Tensor, "..."]:
         if input.device.type != "cpu":
             return super().forward(input)
         with torch.autocast("cpu", enabled=False):
