@@ -26,6 +26,20 @@ Spread = Callable[[Tensor], Tensor]
 """Spreads observations `[*batch, channel, row, col]` over more planes."""
 
 
+class ConvolutionOfOneCell(nn.Conv2d):
+    """A convolution in float32, on a CPU also where those around it are in bfloat16.
+
+    For images of one cell: there torch's gradients in bfloat16 are memory that nothing was written
+    to, up to 3e38, and other numbers in the next run.
+    """
+
+    def forward(self, input: Float[Tensor, "square channel 1 1"]) -> Float[Tensor, "..."]:
+        if input.device.type != "cpu":
+            return super().forward(input)
+        with torch.autocast("cpu", enabled=False):
+            return super().forward(input.float())
+
+
 @final
 class Cnn(Encoder):
     """Turn each robot's square of the map into a feature vector (paper §3.4, figure 3).
@@ -80,15 +94,17 @@ class Cnn(Encoder):
             in_channels = len(self.spread(torch.zeros(observation_shape)))
         depths = pairwise([in_channels, *channels])
         convolutions: list[nn.Module] = []
-        for (before, after), stride in zip(depths, strides, strict=True):
+        left = [side_after(side, kernel_size, strides, padding) for side in sides]
+        for index, ((before, after), stride) in enumerate(zip(depths, strides, strict=True)):
+            sides_in = [side_after(side, kernel_size, strides[:index], padding) for side in sides]
+            kind = ConvolutionOfOneCell if max(sides_in) == 1 else nn.Conv2d
             convolutions += [
-                nn.Conv2d(before, after, kernel_size, stride, padding),
+                kind(before, after, kernel_size, stride, padding),
                 nn.ReLU(inplace=True),
             ]
-        sides = [side_after(side, kernel_size, strides, padding) for side in sides]
         self.convolutions = nn.Sequential(*convolutions)
         self.convolutions.to(memory_format=self.memory_format)  # type: ignore[call-overload]
-        self.connected = connect([channels[-1] * math.prod(sides), *hidden], dropout, norm)
+        self.connected = connect([channels[-1] * math.prod(left), *hidden], dropout, norm)
         self.observation_shape = tuple(observation_shape)
         self.out_features = hidden[-1]
         self.remember(memory)

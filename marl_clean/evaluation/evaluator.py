@@ -4,6 +4,7 @@ Nothing here draws from a global generator, so measuring in the middle of a trai
 not change what the run learns.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -117,7 +118,8 @@ def validate(cfg: DictConfig, policy: nn.Module) -> dict[str, float]:
     """
     if not has_houses(cfg):
         entry = measure_return(cfg, policy, cfg.name, START_SEEDS["validation"])
-        return {"return": entry["summary"]["return"]["mean"]}
+        mean = entry["summary"]["return"]["mean"]
+        return {"return": math.nan if mean is None else mean}
     section = cfg.evaluation
     records = evaluate(
         cfg,

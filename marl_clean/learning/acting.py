@@ -24,6 +24,7 @@ from marl_clean.learning.networks import Entries, RobotsNetwork
 from marl_clean.learning.schedules import Epsilon
 from marl_clean.world.random import Purpose, random_bits
 
+_NO_SHAPE = torch.Size()
 OF_MESSAGES = (keys.MESSAGE, keys.MESSAGE_EDGES, keys.MESSAGE_BITS)
 OF_TOLD = (keys.TOLD_PATCH, keys.TOLD_EDGES, keys.TOLD_PLACE)
 """What policies write for an env whose robots read in messages what lies around the senders."""
@@ -160,12 +161,32 @@ class Logits(TensorDictModuleBase):
         return tensordict.set(keys.LOGITS, logits)
 
 
+class Choice(Categorical):
+    """Torch's distribution, which goes on where logits are NaN or infinite: it draws any action.
+
+    So no draw fails, on a GPU for good, before the trainer has read that the logits, and with them
+    what is learnt from `log_prob`, are not finite. Of finite logits all is torch's, bit for bit.
+    """
+
+    @property
+    def deterministic_sample(self) -> Tensor:
+        return self.mode
+
+    def sample(self, sample_shape: torch.Size = _NO_SHAPE) -> Tensor:
+        self.probs = torch.where(self.probs.isfinite(), self.probs, 1.0)
+        return super().sample(sample_shape)
+
+    def entropy(self) -> Tensor:
+        """Return the entropy, 0 where it is NaN: TorchRL would draw actions to estimate it."""
+        return super().entropy().nan_to_num()
+
+
 def drawing(network: RobotsNetwork, acting: bool) -> ProbabilisticTensorDictSequential:
     """Return TorchRL's actor: the network's logits, and an action drawn for each robot."""
     draw = ProbabilisticTensorDictModule(
         in_keys={"logits": keys.LOGITS},
         out_keys=[keys.ACTION],
-        distribution_class=Categorical,
+        distribution_class=Choice,
         return_log_prob=True,
         log_prob_key=keys.LOG_PROB,
     )

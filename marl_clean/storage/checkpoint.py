@@ -25,6 +25,7 @@ from marl_clean.errors import BadInput
 from marl_clean.storage import files
 from marl_clean.storage._header import read_header
 from marl_clean.storage._trees import decode, encode
+from marl_clean.storage.finite import Diverged, not_finite
 from marl_clean.storage.manifest import (
     FOLDER,
     MANIFEST,
@@ -86,7 +87,10 @@ class Checkpoints:
 
         Raises:
             BadInput: the disk refuses, or returns something else; older ones stay.
+            Diverged: something in it is NaN or infinite; nothing is written.
         """
+        if bad := [*not_finite(tree), *not_finite(notes)]:
+            raise Diverged(f"frame {frames}: {bad[0]} is NaN or infinite; {kind} is not saved")
         path = self.folder / f"{kind}-{frames:012d}"
         tensors: dict[str, Tensor] = {}
         encoded = encode(tree, "", tensors)

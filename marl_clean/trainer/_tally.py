@@ -1,25 +1,9 @@
-"""Means of what learning measures, for a row of the log; and the refusal of NaN and infinity."""
+"""Means of what learning measures, for a row of the log."""
 
 from collections.abc import Mapping
 
 import torch
 from torch import Tensor
-
-from marl_clean.errors import BadInput
-
-
-class Diverged(BadInput):
-    """A number that learning needs is NaN or infinite; the message names it, and the update."""
-
-
-def check_finite(values: Tensor, name: str, updates: int, frames: int) -> None:
-    """Raise Diverged where one of the values, measured after `updates` updates, is not finite."""
-    if not values.isfinite().all():
-        update = updates + 1 + int(values.isfinite().logical_not().nonzero()[0])
-        raise Diverged(
-            f"update {update}, frame {frames}: {name} is NaN or infinite;"
-            " nothing of it is saved; a smaller agent.lr may help"
-        )
 
 
 class Tally:

@@ -22,6 +22,7 @@ from marl_clean.storage.checkpoint import FOLDER, Checkpoints
 from marl_clean.trainer._annealing import Annealing
 from marl_clean.trainer._collectors import Moment
 from marl_clean.trainer._curriculum import Curriculum
+from marl_clean.trainer._finite import check_learner, check_numbers
 from marl_clean.trainer._first_updates import FirstUpdates
 from marl_clean.trainer._frames import IN_THE_TRAINER, check_frames
 from marl_clean.trainer._interrupts import Interrupts, Stopped
@@ -31,7 +32,7 @@ from marl_clean.trainer._random import random_state, restore_random
 from marl_clean.trainer._remote import make_collecting
 from marl_clean.trainer._selection import Best
 from marl_clean.trainer._share import MakeShare
-from marl_clean.trainer._tally import Diverged, Tally
+from marl_clean.trainer._tally import Tally
 
 Evaluate = Callable[[TensorDictModuleBase], Mapping[str, float]]
 log = logging.getLogger(__name__)
@@ -152,28 +153,24 @@ class TrainingLoop(ABC):
         self.curriculum = Curriculum(*settings.curriculum)
         self.curriculum.open_houses(env.base_env)
         shown = settings.imitate_frames_share * settings.total_frames
+        imitate = settings.imitate, shown, settings.imitate_states
+        opened, block = self.curriculum.num_open(env.base_env), settings.frames_per_batch
         self.collectors = make_collecting(
-            env,
-            agent,
-            make_share,
-            (settings.imitate, shown, settings.imitate_states),
-            self.curriculum.num_open(env.base_env),
-            settings.collectors,
-            settings.frames_per_batch,
+            env, agent, make_share, imitate, opened, settings.collectors, block
         )
-        self.annealing = Annealing()
-        self.tally = Tally()
+        self.annealing, self.tally = Annealing(), Tally()
         self.frames = self.updates = 0
         self.logged = self.evaluated = self.saved = 0  # frames at the last time
         self.best = Best(settings.select_by, checkpoints)
 
     def collect(self) -> TensorDictBase:
         """Collect a block of frames `[env, time]` with exploration, and update the tally."""
-        block = self.collectors.block(self._moment())
+        num_open = self.curriculum.num_open(self.env.base_env)
+        moment = Moment(self.frames, self.settings.total_frames, self.annealing.share, num_open)
+        block = self.collectors.block(moment)
         self.frames += block.numel()
+        check_numbers(block, self.frames)
         later = block["next"]
-        if not later[keys.REWARD].isfinite().all():
-            raise Diverged(f"frame {self.frames}: a reward is NaN or infinite")
         done, finished = (later[key].squeeze(-1) for key in (keys.DONE, keys.TERMINATED))
         self.tally.add("reward", later[keys.REWARD])
         for key in (keys.INFO_COLLISION, keys.INFO_SHAPING, keys.INFO_SPILL):
@@ -186,13 +183,17 @@ class TrainingLoop(ABC):
         self.annealing.set(self.agent, self.env, self.frames / self.settings.total_frames)
         return block
 
-    def _moment(self) -> Moment:
-        total, num_open = self.settings.total_frames, self.curriculum.num_open(self.env.base_env)
-        return Moment(self.frames, total, self.annealing.share, num_open)
-
     @abstractmethod
     def learn(self, block: TensorDictBase) -> None:
         """Learn from a block, or from what is remembered of it and of those before."""
+
+    def count(self, measured: list[dict[str, Tensor]]) -> None:
+        """Count updates by what they measured. Raises Diverged where a number is not finite."""
+        measures = {name: torch.stack([each[name] for each in measured]) for name in measured[0]}
+        check_learner(self.agent, self.updates, self.frames, measures)
+        for name, values in measures.items():
+            self.tally.add(name, values)
+        self.updates += len(measured)
 
     @abstractmethod
     def own_state(self) -> dict[str, Any]:
@@ -219,6 +220,7 @@ class TrainingLoop(ABC):
                 **self.curriculum.measures(),
                 f"{CLOCK}frames_per_second": progress.frames_per_second(self.frames),
             }
+            check_numbers(row, self.frames)
             self.loggers.log(self.frames, row)
             self.logged = self.frames
         progress.show(self.frames, row)
@@ -228,24 +230,22 @@ class TrainingLoop(ABC):
         cuda = [self.env.device] if self.env.device.type == "cuda" else []
         with torch.random.fork_rng(devices=cuda), torch.no_grad(), interrupts.breakable():
             measured = self.evaluate(self.agent.policy())
+        check_numbers({"validation": measured}, self.frames)
         self.best.offer(self.frames, measured, self._weights())
         self.evaluated = self.frames
         return {f"validation/{name}": value for name, value in measured.items()}
 
     def _weights(self) -> dict[str, Tensor]:
-        """Return a copy of the network's weights. Raises Diverged where one is not finite."""
-        for name, weight in (weights := self.agent.network.state_dict()).items():
-            if not weight.isfinite().all():
-                raise Diverged(f"update {self.updates}: weight {name} is NaN or infinite")
-        return {name: weight.clone() for name, weight in weights.items()}
+        """Return a copy of the network's weights. Raises Diverged where the learner diverged."""
+        check_learner(self.agent, self.updates, self.frames)
+        return {name: w.clone() for name, w in self.agent.network.state_dict().items()}
 
     def due(self, interval: int, last: int) -> bool:
         """Tell whether `interval` frames have been played since `last`."""
         return self.frames - last >= interval
 
     def save(self) -> None:
-        """Save everything that the run resumes from."""
-        self._weights()
+        """Save everything that the run resumes from. Raises Diverged where it is not finite."""
         self.saved = self.frames
         state = {
             "counters": {name: getattr(self, name) for name in COUNTERS},

@@ -13,7 +13,6 @@ from marl_clean.settings import Collectors, PositiveInt, Probability, StatesOf
 from marl_clean.storage.checkpoint import Checkpoints
 from marl_clean.trainer._frames import IN_THE_TRAINER
 from marl_clean.trainer._share import MakeShare
-from marl_clean.trainer._tally import check_finite
 from marl_clean.trainer.base import Evaluate, Trainer, TrainingLoop
 
 
@@ -98,16 +97,12 @@ class OnPolicyLoop(TrainingLoop):
         frames = agent.estimate(block)
         items = frames if agent.unrolls else frames.flatten()
         count = len(items) * self.settings.minibatch_frames // self.settings.frames_per_batch
-        measures = []
+        measured = []
         for _ in range(self.settings.epochs):
             order = torch.randperm(len(items), device=items.device)
             for chosen in order.split(max(1, count)):
-                measures.append(agent.update(items[chosen]))
-        for name in measures[0]:
-            values = torch.stack([measured[name] for measured in measures])
-            check_finite(values, name, self.updates, self.frames)
-            self.tally.add(name, values)
-        self.updates += len(measures)
+                measured.append(agent.update(items[chosen]))
+        self.count(measured)
 
     def own_state(self) -> dict[str, Any]:
         return {}

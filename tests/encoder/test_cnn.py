@@ -79,3 +79,28 @@ def test_what_does_not_fit_is_bad_input():
         make(strides=[1])
     with pytest.raises(BadInput, match="too small"):
         make(shape=(1, 3, 3), padding=0)
+
+
+@pytest.mark.parametrize(
+    ("side", "strides", "exact"), [(1, [1, 2], [True, True]), (7, [2, 4, 2], [False, False, True])]
+)
+def test_convolutions_of_one_cell_are_in_float32(side, strides, exact):
+    """In bfloat16 torch returns gradients of them, on a CPU, that are memory never written to."""
+    observation = squares(8, 2, 1, side, side)
+
+    def learnt(precision: torch.dtype) -> tuple[Tensor, list[torch.dtype]]:
+        encoder = make(shape=(1, side, side), channels=[4] * len(strides), strides=strides)
+        seen: list[torch.dtype] = []
+        for layer in encoder.convolutions[::2]:
+            layer.register_forward_hook(lambda layer, given, made: seen.append(made.dtype))
+        with torch.autocast("cpu", precision, enabled=precision is not torch.float32):
+            feature = encoder(observation)
+        feature.float().square().sum().backward()
+        return torch.cat([weight.grad.flatten() for weight in encoder.parameters()]), seen
+
+    first, seen = learnt(torch.bfloat16)
+    assert seen == [torch.float32 if each else torch.bfloat16 for each in exact]
+    junk = [torch.full((size,), 3e38) for size in range(1, 4096, 64)]
+    del junk  # what is returned unwritten is now this
+    assert torch.equal(first, learnt(torch.bfloat16)[0])
+    torch.testing.assert_close(first, learnt(torch.float32)[0], atol=0.2, rtol=0.1)

@@ -12,8 +12,8 @@ from marl_clean.errors import BadInput
 from marl_clean.logger.csv import Csv
 from marl_clean.logger.tensorboard import TensorBoard
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints, load_weights
+from marl_clean.storage.finite import Diverged
 from marl_clean.trainer._outcome import Outcome
-from marl_clean.trainer._tally import Diverged
 from marl_clean.trainer.off_policy import OffPolicy
 from tests.agent.parts import make_agent, make_encoder
 from tests.trainer.probe import Probe, share_right
