@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, Literal, final
 
-import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs import EnvBase
 
@@ -23,8 +23,8 @@ from marl_clean.settings import (
 from marl_clean.storage.checkpoint import Checkpoints
 from marl_clean.trainer._collecting import Rows, Windows, replay_state, restore_replay
 from marl_clean.trainer._frames import IN_THE_TRAINER
+from marl_clean.trainer._owed import Owed
 from marl_clean.trainer._share import MakeShare
-from marl_clean.trainer._tally import check_finite
 from marl_clean.trainer.base import Evaluate, Trainer, TrainingLoop
 
 
@@ -144,12 +144,10 @@ class OffPolicyLoop(TrainingLoop):
         owed = int(learnable / settings.batch_frames) - self.updates
         if not len(self.replay) or owed <= 0:
             return
-        measures = [self.agent.update(self.replay.sample()) for _ in range(owed)]
-        for name in measures[0]:
-            values = torch.stack([measured[name] for measured in measures])
-            check_finite(values, name, self.updates, self.frames)
-            self.tally.add(name, values)
-        self.updates += owed
+        self.make(Owed(owed))
+
+    def update(self, owed: Owed) -> dict[str, Tensor]:
+        return self.agent.update(self.replay.sample())
 
     def own_state(self) -> dict[str, Any]:
         return {
