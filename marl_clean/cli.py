@@ -11,18 +11,18 @@ import signal
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 from marl_clean import __version__
+from marl_clean.commands._signals import begin, handled
 from marl_clean.commands.arguments import WITHOUT_SETTINGS, parser_of, plugin_option
-from marl_clean.errors import BadInput
+from marl_clean.errors import BadInput, memory_that_lacked
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 INTERVENE = "intervention="  # of evaluate: not a setting of the config, and may be a list
-BAD_INPUT, INTERRUPTED, TERMINATED = 2, 128 + signal.SIGINT, 128 + signal.SIGTERM
+BAD_INPUT, INTERRUPTED = 2, 128 + signal.SIGINT
 
 
 def train(arguments: argparse.Namespace) -> int:
@@ -31,9 +31,7 @@ def train(arguments: argparse.Namespace) -> int:
 
     check_no_study(arguments.settings)
     if arguments.multirun:
-        from marl_clean.commands import sweep
-
-        return sweep.run(arguments.settings)
+        return begin("sweep").run(arguments.settings)
     from marl_clean.commands.checks import check_all
     from marl_clean.config.stored import RUNS, compose_for_training
     from marl_clean.storage.lock import check_free
@@ -41,26 +39,20 @@ def train(arguments: argparse.Namespace) -> int:
     config = compose_for_training(arguments.settings)
     check_all(config, training=True)
     check_free(RUNS / config.name)
-    from marl_clean.commands import train as command
-
-    command.main(config, RUNS / config.name)
+    begin("train").main(config, RUNS / config.name)
     return 0
 
 
 def tune(arguments: argparse.Namespace) -> int:
     """search any keys for the best value of a measure, by Optuna; the same command again resumes"""
-    from marl_clean.commands import tune as command
-
-    return command.run(arguments.settings)
+    return begin("tune").run(arguments.settings)
 
 
 def study(arguments: argparse.Namespace) -> int:
     """run the study of a preset: arms, seeds, rules, frozen before the first run; resumes"""
-    from marl_clean.commands import study as command
-
     if "=" in arguments.name:
         raise BadInput(f"study: {arguments.name!r} is a setting; name a preset before it")
-    return command.main(arguments.name, arguments.settings)
+    return begin("study").main(arguments.name, arguments.settings)
 
 
 def evaluate(arguments: argparse.Namespace) -> int:
@@ -80,7 +72,7 @@ def evaluate(arguments: argparse.Namespace) -> int:
         name = f"{name}-{config_hash(config)[:8]}"
     out = Path(config.out or RUNS / EVALUATED / name / "evaluation.json")
     check_out(out)
-    from marl_clean.commands import evaluate as command
+    command = begin("evaluate")
     from marl_clean.evaluation.interventions import named
 
     command.main(config, out, interventions=() if intervention is None else named(intervention))
@@ -89,9 +81,7 @@ def evaluate(arguments: argparse.Namespace) -> int:
 
 def verify(arguments: argparse.Namespace) -> int:
     """repeat a run's first updates: are its weights the same here, bit for bit?"""
-    from marl_clean.commands import verify as command
-
-    return command.main(arguments.run)
+    return begin("verify").main(arguments.run)
 
 
 def watch(arguments: argparse.Namespace) -> int:
@@ -100,45 +90,36 @@ def watch(arguments: argparse.Namespace) -> int:
 
     config = compose_for_policy(arguments.settings)
     _check_in_houses(config)
-    from marl_clean.commands import watch as command
-
-    command.main(config)
+    begin("watch").main(config)
     return 0
 
 
 def figure(arguments: argparse.Namespace) -> int:
     """draw a figure, such as paper_1, into runs/figures; comparisons train what they need"""
-    from marl_clean.commands import comparison
     from marl_clean.commands.comparison import COMPARISONS
     from marl_clean.config.stored import compose_for_policy
 
     if "=" in arguments.name:
         raise BadInput(f"figure: {arguments.name!r} is a setting; name a figure before it")
     if arguments.name in COMPARISONS:
-        comparison.main(arguments.name, arguments.settings)
+        begin("comparison").main(arguments.name, arguments.settings)
         return 0
     config = compose_for_policy(arguments.settings)
     _check_in_houses(config)
-    from marl_clean.commands import figure as command
-
-    command.main(arguments.name, config)
+    begin("figure").main(arguments.name, config)
     return 0
 
 
 def compare(arguments: argparse.Namespace) -> int:
     """finished runs in one table, seeds pooled, compared with one of them on the same houses"""
-    from marl_clean.commands import compare as command
-
     named = {key: getattr(arguments, key) for key in ("against", "export", "silent", "oracle")}
-    command.main(arguments.runs, arguments.out, **named)
+    begin("compare").main(arguments.runs, arguments.out, **named)
     return 0
 
 
 def report(arguments: argparse.Namespace) -> int:
     """finished runs, or a study, on one page: tables, plots, episodes to play"""
-    from marl_clean.commands import report as command
-    from marl_clean.commands import study_report
-
+    study_report, command = begin("study_report"), begin("report")
     if (folder := study_report.folder_in(arguments.runs)) is not None:
         study_report.main(folder, arguments.out, None, arguments.against, arguments.oracle)
         return 0
@@ -148,26 +129,20 @@ def report(arguments: argparse.Namespace) -> int:
 
 def matrix(arguments: argparse.Namespace) -> int:
     """policies trained over one channel, measured over others: a matrix and its figure"""
-    from marl_clean.commands import matrix as command
-
-    command.main(arguments.runs, arguments.channel or (), arguments.houses, arguments.out)
+    begin("matrix").main(arguments.runs, arguments.channel or (), arguments.houses, arguments.out)
     return 0
 
 
 def headroom(arguments: argparse.Namespace) -> int:
     """what planners gain from maps and targets of others: where a message can pay at all"""
-    from marl_clean.commands import headroom as command
-
-    command.run(arguments.settings)
+    begin("headroom").run(arguments.settings)
     return 0
 
 
 def runs(arguments: argparse.Namespace) -> int:
     """list what is in runs/: state, seed, score, size, age; --clean removes what is not needed"""
-    from marl_clean.commands import runs as command
-
     chosen = (arguments.state or (), arguments.preset or ())
-    command.main(arguments.patterns, *chosen, arguments.clean, arguments.yes)
+    begin("runs").main(arguments.patterns, *chosen, arguments.clean, arguments.yes)
     return 0
 
 
@@ -181,9 +156,7 @@ def benchmark(arguments: argparse.Namespace) -> int:
     check_square_view(config, "benchmark")
     config.env.compile = True  # after the settings: a machine that cannot compile hides no fault
     check_all(config)
-    from marl_clean.commands import benchmark as command
-
-    command.main(config)
+    begin("benchmark").main(config)
     return 0
 
 
@@ -235,21 +208,29 @@ any command brings in levels of a package of your own.
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
-    before = signal.signal(signal.SIGTERM, _terminate)
-    try:
-        code = _run(sys.argv[1:] if argv is None else argv)
-        sys.stdout.flush()
-        return code
-    except BadInput as error:
-        sys.stderr.write(f"marl-clean: {' '.join(str(error).split())}\n")
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    except BrokenPipeError:  # the reader of our output, such as `head`, has left
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    with handled() as signals:
+        try:
+            code = _run(sys.argv[1:] if argv is None else argv)
+            sys.stdout.flush()
+            return code
+        except BadInput as error:
+            return _refuse(str(error))
+        except KeyboardInterrupt:
+            return INTERRUPTED
+        except BrokenPipeError:  # the reader of our output, such as `head`, has left
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        except Exception as error:
+            if signals.number is not None:  # a library made another exception of the signal's
+                return 128 + signals.number
+            if (reason := memory_that_lacked(error)) is None:
+                raise
+            return _refuse(reason)
+
+
+def _refuse(reason: str) -> int:
+    sys.stderr.write(f"marl-clean: {' '.join(reason.split())}\n")
+    return BAD_INPUT
 
 
 def _run(argv: Sequence[str]) -> int:
@@ -289,10 +270,6 @@ def _check_in_houses(config: "DictConfig") -> None:
 
     check_shows_houses(config)
     check_all(config)
-
-
-def _terminate(signum: int, frame: FrameType | None) -> NoReturn:
-    raise SystemExit(TERMINATED)
 
 
 def _write(lines: Iterable[str]) -> None:

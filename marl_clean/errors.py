@@ -21,3 +21,18 @@ def _printable(character: str) -> str:
     if character.isprintable():
         return character
     return character.encode("unicode_escape").decode("ascii")
+
+
+CANNOT_ALLOCATE = ("can't allocate memory", "not enough memory", "out of memory")  # torch's words
+
+
+def memory_that_lacked(error: Exception) -> str | None:
+    """Which memory an error says that there was not, and what would need less; None for others."""
+    said = str(error)
+    if not isinstance(error, MemoryError) and not any(w in said for w in CANNOT_ALLOCATE):
+        return None
+    [first, *_] = said.strip().splitlines() or ["an allocation failed"]
+    return (
+        f"not enough memory ({first[:200]}); fewer trainer.buffer_frames, env.num_envs or"
+        " trainer.frames_per_batch, or a smaller observation need less"
+    )

@@ -103,6 +103,8 @@ def make_plan(texts: Sequence[str]) -> Plan:
     check_shows_houses(config)
     if config.checkpoint is not None:
         raise BadInput(f"checkpoint={config.checkpoint}: headroom plays planners; leave it out")
+    if config.out is not None and not config.out.endswith(".json"):
+        raise BadInput(f"out={config.out}: must end with .json; the csv and figures go beside it")
     planner = level_of(config.planner._target_)
     if "assignment" not in config.planner:
         raise BadInput(f"planner={planner}: has no targets to assign; valid: nearest_unknown")

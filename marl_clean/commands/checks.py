@@ -10,6 +10,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
+from marl_clean.commands._memory import check_memory
 from marl_clean.config.class_source import constant
 from marl_clean.config.compose import has_houses
 from marl_clean.config.fitting import check_fit
@@ -274,6 +275,8 @@ def check_all(config: DictConfig, training: bool = False, here: bool = True) -> 
     """
     for check in (*CHECKS, *(OF_TRAINING if training else ()), *(OF_THE_MACHINE if here else ())):
         check(config)
+    if here:
+        check_memory(config, training)
 
 
 CHECKS = [check_optimum, check_house, check_knowledge]

@@ -27,11 +27,10 @@ def main(text: str, console: Console | None = None) -> int:
     Raises BadInput where `text` is no run, or one of before first updates were noted, or its config
     cannot be trained here.
     """
+    folder, console = find_run(text), console or output()
     from marl_clean.commands.train import train
     from marl_clean.trainer._first_updates import FILE, FirstUpdates, Repeated, read
 
-    console = console or output()
-    folder = find_run(text)
     if not (folder / FILE).is_file():
         raise BadInput(f"verify {text}: has no {FILE}: its first updates were never noted")
     noted = read(folder / FILE)

@@ -112,7 +112,8 @@ def _for_launching(hydra: Hydra, overrides: Sequence[Override]) -> DictConfig:
     try:
         return hydra.compose_config(LAUNCHING, settings, run_mode=RunMode.MULTIRUN)
     except (HydraException, OmegaConfBaseException) as error:
-        raise BadInput(f"{' '.join(settings)}: {first_line(error)}") from None
+        reason = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
+        raise BadInput(f"{' '.join(settings)}: {first_line(reason)}") from None
 
 
 def _check_level(override: Override, levels: Sequence[str]) -> None:

@@ -28,6 +28,7 @@ from marl_clean.trainer._frames import IN_THE_TRAINER, check_frames
 from marl_clean.trainer._interrupts import Interrupts, Stopped
 from marl_clean.trainer._loggers import Loggers
 from marl_clean.trainer._outcome import Outcome, earlier_outcome
+from marl_clean.trainer._owed import Learning, Owed
 from marl_clean.trainer._random import random_state, restore_random
 from marl_clean.trainer._remote import make_collecting
 from marl_clean.trainer._selection import Best
@@ -117,7 +118,10 @@ class Trainer(ABC):
         try:
             loop.resume()
             first.resume(loop.frames, loop.updates)
-            with Interrupts() as interrupts, Progress(self.total_frames, loop.frames) as progress:
+            with (
+                loop.interrupts as interrupts,
+                Progress(self.total_frames, loop.frames) as progress,
+            ):
                 if start_is_candidate and not loop.frames:
                     with suppress(Stopped):  # the loop sees the signal
                         loop.measure(interrupts)
@@ -127,15 +131,14 @@ class Trainer(ABC):
                         loop.save()
                     if interrupts.signal:
                         raise SystemExit(128 + interrupts.signal)
-                    if loop.frames >= self.total_frames:
+                    if loop.frames >= self.total_frames and loop.owed is None:
                         return loop.finish()
-                    loop.learn(loop.collect())
-                    first.note(loop.frames, loop.updates, agent.network)
+                    loop.advance(first)
         finally:
             loop.close()
 
 
-class TrainingLoop(ABC):
+class TrainingLoop(Learning):
     """The live parts of one training, and how far it is."""
 
     def __init__(
@@ -158,7 +161,7 @@ class TrainingLoop(ABC):
         self.collectors = make_collecting(
             env, agent, make_share, imitate, opened, settings.collectors, block
         )
-        self.annealing, self.tally = Annealing(), Tally()
+        self.annealing, self.tally, self.interrupts = Annealing(), Tally(), Interrupts()
         self.frames = self.updates = 0
         self.logged = self.evaluated = self.saved = 0  # frames at the last time
         self.best = Best(settings.select_by, checkpoints)
@@ -184,18 +187,6 @@ class TrainingLoop(ABC):
         return block
 
     @abstractmethod
-    def learn(self, block: TensorDictBase) -> None:
-        """Learn from a block, or from what is remembered of it and of those before."""
-
-    def count(self, measured: list[dict[str, Tensor]]) -> None:
-        """Count updates by what they measured. Raises Diverged where a number is not finite."""
-        measures = {name: torch.stack([each[name] for each in measured]) for name in measured[0]}
-        check_learner(self.agent, self.updates, self.frames, measures)
-        for name, values in measures.items():
-            self.tally.add(name, values)
-        self.updates += len(measured)
-
-    @abstractmethod
     def own_state(self) -> dict[str, Any]:
         """Return what this loop resumes from beside what all have."""
 
@@ -205,6 +196,8 @@ class TrainingLoop(ABC):
 
     def report(self, interrupts: Interrupts, progress: Progress) -> None:
         """Evaluate and write a row, each if it is due; show how far the run is."""
+        if self.owed is not None:  # in the middle of a block
+            return
         row: dict[str, float] = {}
         ended = self.frames >= self.settings.total_frames and self.evaluated < self.frames
         if ended or self.due(self.settings.eval_interval_frames, self.evaluated):
@@ -253,6 +246,7 @@ class TrainingLoop(ABC):
             "agent": self.agent.state_dict(),
             **self.collectors.state(),
             **self.own_state(),
+            "owed": None if self.owed is None else vars(self.owed),
             "tally": self.tally.state(),
             "curriculum": self.curriculum.state(),
             "annealing": {"share": self.annealing.share},
@@ -280,6 +274,8 @@ class TrainingLoop(ABC):
         if not self.env.base_env.resumes_exactly:
             log.warning("frame %d: resumes with new episodes; env cannot save its own", self.frames)
         self.restore_own(state)
+        if (owed := state.get("owed")) is not None:
+            self.owed = Owed.of(owed, self.env.device)
         self.tally.restore(state["tally"])
         self.curriculum.restore(state["curriculum"])
         self.curriculum.open_houses(self.env.base_env)

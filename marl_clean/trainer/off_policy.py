@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, final
 
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs import EnvBase
 
@@ -22,6 +23,7 @@ from marl_clean.settings import (
 from marl_clean.storage.checkpoint import Checkpoints
 from marl_clean.trainer._collecting import Rows, Windows, replay_state, restore_replay
 from marl_clean.trainer._frames import IN_THE_TRAINER
+from marl_clean.trainer._owed import Owed
 from marl_clean.trainer._share import MakeShare
 from marl_clean.trainer.base import Evaluate, Trainer, TrainingLoop
 
@@ -142,7 +144,10 @@ class OffPolicyLoop(TrainingLoop):
         owed = int(learnable / settings.batch_frames) - self.updates
         if not len(self.replay) or owed <= 0:
             return
-        self.count([self.agent.update(self.replay.sample()) for _ in range(owed)])
+        self.make(Owed(owed))
+
+    def update(self, owed: Owed) -> dict[str, Tensor]:
+        return self.agent.update(self.replay.sample())
 
     def own_state(self) -> dict[str, Any]:
         return {

@@ -1,10 +1,12 @@
 """The on-policy loop: collect a block, learn from it a few times, forget it."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, Literal, final
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.envs import EnvBase
 
 from marl_clean.learning.agent import Agent
@@ -12,6 +14,7 @@ from marl_clean.logger.base import Logger
 from marl_clean.settings import Collectors, PositiveInt, Probability, StatesOf
 from marl_clean.storage.checkpoint import Checkpoints
 from marl_clean.trainer._frames import IN_THE_TRAINER
+from marl_clean.trainer._owed import Owed
 from marl_clean.trainer._share import MakeShare
 from marl_clean.trainer.base import Evaluate, Trainer, TrainingLoop
 
@@ -93,16 +96,24 @@ class OnPolicyLoop(TrainingLoop):
 
     def learn(self, block: TensorDictBase) -> None:
         """Learn from the block in minibatches, `epochs` times."""
-        agent = self.agent
-        frames = agent.estimate(block)
-        items = frames if agent.unrolls else frames.flatten()
-        count = len(items) * self.settings.minibatch_frames // self.settings.frames_per_batch
-        measured = []
-        for _ in range(self.settings.epochs):
-            order = torch.randperm(len(items), device=items.device)
-            for chosen in order.split(max(1, count)):
-                measured.append(agent.update(items[chosen]))
-        self.count(measured)
+        frames = self.agent.estimate(block)
+        items = frames if self.agent.unrolls else frames.flatten()
+        minibatches = math.ceil(len(items) / self._size(items))
+        self.make(Owed(self.settings.epochs * minibatches, items))
+
+    def update(self, owed: Owed) -> dict[str, Tensor]:
+        assert owed.items is not None
+        if owed.order is None:
+            owed.order = torch.randperm(len(owed.items), device=owed.items.device)
+        size = self._size(owed.items)
+        chosen, left = owed.order[:size], owed.order[size:]
+        owed.order = left if len(left) else None
+        return self.agent.update(owed.items[chosen])
+
+    def _size(self, items: TensorDictBase) -> int:
+        """Return how many of the items make a minibatch."""
+        settings = self.settings
+        return max(1, len(items) * settings.minibatch_frames // settings.frames_per_batch)
 
     def own_state(self) -> dict[str, Any]:
         return {}

@@ -7,6 +7,7 @@ import os
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
+from pathlib import Path
 
 from marl_clean import cli
 
@@ -111,6 +112,17 @@ MORE_BAD_COMMANDS = {
     "train encoder.hidden=[999999999]": "encoder.hidden",
     "train comm.message_dim=999999999": "comm.message_dim",
     "train trainer.buffer_frames=2000000000": "trainer.buffer_frames",
+    "train observation.view_size=1000001": "observation.view_size=1000001: what all robots see",
+    "train -m observation.view_size=15,1000001": "observation.view_size=1000001: what all robots",
+    "evaluate planner=random observation.view_size=9999999": "valid: at most",
+    "watch observation=pyramid observation.view_size=9999999": "observation.view_size",
+    "figure houses observation.view_size=9999999": "observation.view_size",
+    "benchmark observation.view_size=9999999": "observation.view_size",
+    "train env.num_envs=1000000 trainer.frames_per_batch=1000000 observation.view_size=4001": (
+        "observation.view_size=4001: what all robots see takes"
+    ),
+    "train trainer.buffer_frames=99999999 observation.view_size=255": "trainer.buffer_frames",
+    "train agent=ippo trainer=on_policy trainer.frames_per_batch=2147483520": "frames_per_batch=",
     "train logger.csv._target_=marl_clean.logger.base.Logger": "logger.csv._target_: must name",
     "evaluate planner=random house.rows=[999,999] house.cols=[999,999]": "pieces of furniture",
     "train house.rows=14": "house.rows: must be a range, not 14; give [14, 14] or two numbers",
@@ -136,6 +148,15 @@ MORE_BAD_COMMANDS = {
     "doctor now": "now",
     "runs --state finshed": "no such state; did you mean finished?",
 }
+
+
+def write_plans() -> None:
+    """Write two plans that cannot be used into the working directory."""
+    Path("walls.txt").write_text("####\n####\n")
+    Path("broken.yaml").write_text(
+        "image: missing.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
 
 
 def complaint(command: str, named: str) -> str:

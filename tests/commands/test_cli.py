@@ -23,7 +23,7 @@ from marl_clean.config.presets import sweep_of
 from marl_clean.config.stored import load_config
 from marl_clean.errors import BadInput
 from tests.commands import bad_commands
-from tests.commands.bad_commands import BAD_COMMANDS, MORE_BAD_COMMANDS, complaint
+from tests.commands.bad_commands import BAD_COMMANDS, MORE_BAD_COMMANDS, complaint, write_plans
 from tests.families import family
 from tests.reliability.short_jobs import finish, train_by
 
@@ -34,13 +34,9 @@ SWEEPING = [
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working directory with three plans that cannot be used."""
+    """A working directory with two plans that cannot be used."""
     monkeypatch.chdir(tmp_path)
-    Path("walls.txt").write_text("####\n####\n")
-    Path("broken.yaml").write_text(
-        "image: missing.pgm\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n"
-        "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
-    )
+    write_plans()
     return tmp_path
 
 
