@@ -1,57 +1,54 @@
-"""Curves for TensorBoard."""
+"""Curves for TensorBoard, by TorchRL's logger."""
 
-import itertools
 import logging
-import os
-import socket
-import time
+import threading
 from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO, final
+from typing import final
 
 from PIL import Image
-from tensorboard.compat.proto.event_pb2 import Event
 from tensorboard.compat.proto.summary_pb2 import Summary
-from tensorboard.summary.writer.record_writer import RecordWriter
+from torchrl.record.loggers import TensorboardLogger
 
 from marl_clean.logger.base import Logger
 from marl_clean.storage import files
 
-FORMAT = "brain.Event:2"  # what TensorBoard expects at the beginning of a file
+FOLDER = "tensorboard"
 RGB = 3  # TensorBoard's code of the colours
 log = logging.getLogger(__name__)
-_numbers = itertools.count()
 
 
 @final
 class TensorBoard(Logger):
     """Write every value, clock times included, into the run's folder `tensorboard`.
 
-    A resumed run writes the frames after its checkpoint once more, with the same values. The file
-    is written here and not by TensorBoard's thread, which would tell of a full disk too late and in
-    a traceback of its own.
+    A resumed run writes the frames after its checkpoint once more, with the same values. Each row
+    is on the disk before the next begins: TensorBoard's thread would tell later that it is full.
 
     Args:
         folder: the run's.
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder / "tensorboard"
-        self.file: BinaryIO | None = None
+        self.folder = folder
+        self.writer: TensorboardLogger | None = None
 
     def resume(self, frames: int) -> None:
-        if self.folder.exists() and not self.folder.is_dir():
-            log.warning("%s: is no folder; no curves are written there", self.folder)
+        path = self.folder / FOLDER
+        if path.exists() and not path.is_dir():
+            log.warning("%s: is no folder; no curves are written there", path)
             return
-        number = f"{int(time.time()):010d}.{socket.gethostname()}.{os.getpid()}.{next(_numbers)}"
-        with files.writing(self.folder):
-            self.folder.mkdir(exist_ok=True)
-            self.file = (self.folder / f"events.out.tfevents.{number}").open("wb")
-        self._add(Event(file_version=FORMAT))
+        threading.excepthook = _unless_kept
+        with files.writing(path):
+            self.writer = TensorboardLogger(FOLDER, str(self.folder))
 
     def log(self, frames: int, values: Mapping[str, float]) -> None:
-        each = [Summary.Value(tag=name, simple_value=value) for name, value in values.items()]
-        self._add(Event(step=frames, summary=Summary(value=each)))
+        if self.writer is None:
+            return
+        with files.writing(self.folder / FOLDER):
+            for name, value in values.items():
+                self.writer.log_scalar(name, value, step=frames)
+            self.writer.experiment.flush()
 
     def add_replay(self, gif: Path, frames: int) -> None:
         """Write the GIF among the images, which TensorBoard plays; its videos are GIFs too."""
@@ -61,21 +58,23 @@ class TensorBoard(Logger):
             width=width, height=height, colorspace=RGB, encoded_image_string=gif.read_bytes()
         )
         self.resume(frames)
-        value = Summary.Value(tag=gif.stem, image=image)
-        self._add(Event(step=frames, summary=Summary(value=[value])))
+        if self.writer is not None:
+            summary = Summary(value=[Summary.Value(tag=gif.stem, image=image)])
+            with files.writing(self.folder / FOLDER):
+                self.writer.experiment.file_writer.add_summary(summary, frames)
         self.close()
 
     def close(self) -> None:
-        file, self.file = self.file, None
-        if file is not None:
-            with files.writing(self.folder):
-                file.close()
+        writer, self.writer = self.writer, None
+        if writer is not None:
+            with files.writing(self.folder / FOLDER):
+                writer.experiment.close()
 
-    def _add(self, event: Event) -> None:
-        """Write an event to the disk, if there is a file."""
-        if self.file is None:
-            return
-        event.wall_time = time.time()
-        with files.writing(self.folder):
-            RecordWriter(self.file).write(event.SerializeToString())
-            self.file.flush()
+
+def _unless_kept(failed: threading.ExceptHookArgs) -> None:
+    """Print the traceback of a thread that failed, unless the thread keeps it for its caller.
+
+    TensorBoard's does both: what it keeps is raised by the next call.
+    """
+    if getattr(failed.thread, "exception", None) is not failed.exc_value:
+        threading.__excepthook__(failed)

@@ -1,7 +1,10 @@
 """A full disk ends a training with one line, damages nothing, and is forgotten with space again."""
 
-from collections.abc import Callable
-from contextlib import nullcontext, suppress
+import errno
+import os
+import resource
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 import pytest
@@ -15,7 +18,7 @@ from tests.reliability.forks import Broken
 from tests.reliability.full_disk import fill, full_from, limited_to, under
 from tests.reliability.kills import Training
 
-CURVES, ROWS = "tensorboard", "metrics.csv"
+CURVES, ROWS, CANNOT = "tensorboard", "metrics.csv", "cannot be written"
 pytestmark = pytest.mark.usefixtures("unchecked", "one_thread")
 
 
@@ -25,22 +28,41 @@ def test_a_full_disk_is_one_line_and_loses_nothing(iql: Training) -> None:
     assert "File too large" in fill(iql, limited_to(5_000))
 
 
-@pytest.mark.parametrize(("make", "name"), [(Csv, ROWS), (TensorBoard, CURVES)])
-def test_a_logger_says_which_file_cannot_be_written(
-    make: Callable[[Path], Logger], name: str, tmp_path: Path
-) -> None:
+def test_rows_that_cannot_be_written_name_their_file(tmp_path: Path) -> None:
     for number in range(10):
-        logger = make(tmp_path / str(number))
-        path = tmp_path / str(number) / name
-        path.parent.mkdir()
-        with full_from(under(name, number)):
-            with pytest.raises(BadInput) as caught:
-                logger.resume(0)
-                for frames in range(4):
-                    logger.log(frames, {"loss": 0.5})
-            with suppress(BadInput):
-                logger.close()
-        assert str(caught.value) == f"{path}: cannot be written: No space left on device"
+        with full_from(under(ROWS, number)):
+            refused = refused_by(Csv, tmp_path / str(number))
+        assert refused == f"{tmp_path / str(number) / ROWS}: {CANNOT}: {os.strerror(errno.ENOSPC)}"
+
+
+def test_curves_that_cannot_be_written_name_their_folder_and_print_no_traceback(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for size in (0, 10, 100, 150, 200, 250):  # from the first event on, in one row after the other
+        with restored(resource.RLIMIT_FSIZE), limited_to(size):
+            refused = refused_by(TensorBoard, tmp_path / str(size))
+        assert refused == f"{tmp_path / str(size) / CURVES}: {CANNOT}: {os.strerror(errno.EFBIG)}"
+    assert capfd.readouterr().err == ""
+
+
+def refused_by(make: Callable[[Path], Logger], folder: Path) -> str:
+    """What a logger says, of whose files there is no place for all."""
+    logger = make(folder)
+    folder.mkdir()
+    with pytest.raises(BadInput) as caught:
+        logger.resume(0)
+        for frames in range(10):
+            logger.log(frames, {"loss": 0.5})
+    with suppress(BadInput):
+        logger.close()
+    return str(caught.value)
+
+
+@contextmanager
+def restored(limit: int) -> Iterator[None]:
+    before = resource.getrlimit(limit)
+    yield
+    resource.setrlimit(limit, before)
 
 
 @pytest.mark.slow
