@@ -11,6 +11,7 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from marl_clean.commands._memory import check_memory
+from marl_clean.commands.run_record import recorded_hash
 from marl_clean.config.class_source import constant
 from marl_clean.config.compose import has_houses
 from marl_clean.config.fitting import check_fit
@@ -228,7 +229,7 @@ def check_run_folder(config: DictConfig) -> None:
     for place in (folder, *folder.parents):
         if place.exists() and not place.is_dir():
             raise BadInput(f"name={config.name}: {place} is a file; choose another name")
-    check_same_run(config, RUNS / config.name)
+    check_same_run(config, folder, recorded_hash(folder))
 
 
 def check_intervention(config: DictConfig, intervention: str | None) -> None:

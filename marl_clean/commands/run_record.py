@@ -89,6 +89,14 @@ def earlier_processes(path: Path) -> list[dict[str, Any]]:
     return []
 
 
+def recorded_hash(folder: Path) -> str | None:
+    """The hash of the config of the run in `folder`; None where no record tells it."""
+    try:
+        return str(json.loads((folder / RECORD).read_text(encoding="utf-8"))["config_sha256"])
+    except (OSError, ValueError, RecursionError, LookupError, TypeError):
+        return None
+
+
 def _write(path: Path, record: dict[str, Any]) -> None:
     """Write the record; a full disk stops no run."""
     try:

@@ -137,15 +137,10 @@ def train(
 
 
 def write_config(cfg: DictConfig, path: Path) -> None:
-    """Write a run's config, unless the file holds it; that it was torn is said in one line."""
+    """Write a run's config, unless the file holds it, so that a finished run needs no space."""
     text = OmegaConf.to_yaml(cfg, resolve=True).encode()
-    if path.exists():
-        before = path.read_bytes()
-        if before == text:
-            return
-        if text.startswith(before):
-            log.warning("%s: is torn; written again from the settings given", path)
-    files.write_file(path, [text])
+    if not path.is_file() or path.read_bytes() != text:
+        files.write_file(path, [text])
 
 
 def measured_before(folder: Path) -> list[Entry] | None:

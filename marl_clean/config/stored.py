@@ -5,6 +5,7 @@ that config, and settings may change the world around the policy but not its net
 """
 
 import difflib
+import logging
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -31,6 +32,7 @@ from marl_clean.errors import BadInput
 from marl_clean.storage.manifest import weights_sha256
 from marl_clean.storage.safe_yaml import load_yaml
 
+log = logging.getLogger(__name__)
 RUNS = Path("runs")
 EVALUATED = "evaluate"  # in it: what `evaluate` measured
 CONFIG, METRICS = "config.yaml", "metrics.csv"  # of a run's folder
@@ -209,11 +211,21 @@ def _completed(plain: dict[str, Any]) -> dict[str, Any]:
     return whole
 
 
-def check_same_run(config: DictConfig, folder: Path) -> None:
-    """Raises BadInput when `folder` holds a run of another config, naming a key that differs."""
+def check_same_run(config: DictConfig, folder: Path, recorded: str | None = None) -> None:
+    """Raises BadInput when `folder` holds a run of another config, naming a key that differs.
+
+    `recorded`: the hash that the run's record holds, by which it is known too where its config
+    is damaged, which is then said in one line.
+    """
     if not (folder / CONFIG).is_file():
         return
-    stored = load_config(folder)
+    try:
+        stored = load_config(folder)
+    except BadInput as error:
+        if recorded != config_hash(config):
+            raise
+        log.warning("%s; the run is known by its record, and its config written again", error)
+        return
     if config_hash(DictConfig(stored)) == config_hash(config):
         return
     for room in map(str, config):

@@ -52,9 +52,12 @@ def full_from(is_full: IsFull) -> Iterator[None]:
 @contextmanager
 def limited_to(size: int) -> Iterator[None]:
     """Within this context no file may become larger; Python ignores the signal that tells so."""
-    _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    yield
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def from_call(number: int) -> IsFull:
