@@ -23,6 +23,7 @@ WEIGHT_KINDS = ("best", "final")  # kinds that hold weights alone, in order of p
 SCHEMA = 1
 LARGEST_MANIFEST, LARGEST_STATE = 1 << 12, 16 << 20  # bytes
 MOST_VALUES = 1_000_000
+LARGEST_WEIGHTS = 4 << 30  # bytes: those of a billion numbers
 NAME = re.compile(r"([a-z]+)-(\d{12})")
 
 
@@ -47,10 +48,25 @@ def verify(path: Path) -> dict[str, files.Digest]:
     for name in (TENSORS, STATE):
         if (path / name).is_symlink() or not (path / name).is_file():
             raise Damaged(f"{name} is missing")
+        _check_length(path, name, manifest)
         digests[name] = files.digest_of(path / name)
     if make_manifest(digests) != canonical(manifest):
         raise Damaged("the manifest does not hold")
     return digests
+
+
+def _check_length(path: Path, name: str, manifest: Any) -> None:
+    """Raises Damaged for another length than the manifest's, or one that weights do not have.
+
+    A file may be said to be as long as a disk and take no room on it; to read it takes hours.
+    """
+    length = (path / name).stat().st_size
+    described = manifest.get("files") if isinstance(manifest, dict) else None
+    about = described.get(name) if isinstance(described, dict) else None
+    if not isinstance(about, dict) or about.get("bytes") != length:
+        raise Damaged("the manifest does not hold")
+    if path.name.partition("-")[0] in WEIGHT_KINDS and length > LARGEST_WEIGHTS:
+        raise Damaged(f"{name} is larger than {LARGEST_WEIGHTS >> 30} GiB, the most for weights")
 
 
 def weights_sha256(run: Path) -> str:

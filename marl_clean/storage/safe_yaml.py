@@ -55,7 +55,10 @@ def load_yaml(path: Path) -> Any:
         tree = yaml.load(text, Loader=Plain)
     except TooLarge as error:
         raise BadInput(f"{path}: larger than 1 MiB; not a settings file") from error
-    except BadInput:
+    except BadInput as error:
+        if isinstance(cause := error.__cause__, OSError):
+            reason = f"{cause.strerror}; give a yaml file that can be read"
+            raise BadInput(f"{path}: {reason}") from error
         raise
     except (yaml.YAMLError, ValueError) as error:  # ValueError: not UTF-8, or no such number
         raise BadInput(f"{path}: not plain yaml ({reason_of(error)})") from error
