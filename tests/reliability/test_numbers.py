@@ -12,7 +12,6 @@ from tests.reliability import numbers
 from tests.reliability.number_places import PLACES
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread", "unchecked")]
-FEW = len(PLACES) + 6
 SEEN_BY_THE_LOSS = numbers.Trial("iql", "the loss", "learn", 1, "each block", torch.nan)
 MISSED_BY_THE_LOSS = [
     numbers.Trial("iql", "a weight", "measure", 3, "the end", torch.nan),
@@ -23,7 +22,7 @@ MISSED_BY_THE_LOSS = [
 
 
 def test_a_number_that_is_not_finite_stops_a_run_before_the_disk() -> None:
-    trials = numbers.drawn(FEW)
+    trials = numbers.drawn(len(PLACES))
     assert {trial.place for trial in trials} == {*PLACES}
     assert {trial.learner for trial in trials} == {*LEARNERS}
     assert numbers.failures(trials) == []
