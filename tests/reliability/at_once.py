@@ -18,6 +18,7 @@ from tests.reliability.short_jobs import environment
 from tests.reliability.sweeps import journal
 
 TRAIN = ["train", "budget=smoke", "name=mine"]
+SECONDS = 4.0  # of a job
 SWEEP = ["train", "-m", "budget=smoke", "seed=range(100,104)", "hydra/launcher=basic"]
 WITHOUT_LOCKS = """
 from marl_clean.storage import lock
@@ -31,7 +32,7 @@ class Broken(AssertionError):
 
 def twice(place: Path, command: list[str], gap: float, planted: str = "") -> list[tuple[int, str]]:
     """Run a command twice at once; return the exit codes, and what each said."""
-    settings = environment(place / "path", seconds=1.0)
+    settings = environment(place / "path", SECONDS)
     with (place / "path" / "sitecustomize.py").open("a") as file:
         file.write(planted)
     processes = []
@@ -51,14 +52,20 @@ def twice(place: Path, command: list[str], gap: float, planted: str = "") -> lis
     return [(process.returncode, text) for process, text in zip(processes, said, strict=True)]
 
 
-def check_run(place: Path, gap: float, planted: str = "") -> None:
-    """Train the same run twice. Raises Broken where both do, or the other's line is wrong."""
+def check_run(place: Path, gap: float, planted: str = "") -> bool:
+    """Train the same run twice; return whether the second came while the first trained.
+
+    Raises Broken where both train at once, or the other's line is wrong.
+    """
     ends = sorted(twice(place, TRAIN, gap, planted))
     events = Counter(event for event, *_ in journal(place))
+    if [event for event, *_ in journal(place)] == ["begin", "end"] * 2:
+        return False  # on a busy machine: the stand-in does not look whether a run is finished
     [holder] = {pid for _, _, pid in journal(place)[:1]}
     refused = ends[1][1].startswith(f"marl-clean: runs/mine: held by process {holder} on ")
     if [code for code, _ in ends] != [0, 2] or events != {"begin": 1, "end": 1} or not refused:
         raise Broken(f"{gap:.3f} s apart: {ends}, {events}")
+    return True
 
 
 def check_sweep(place: Path, gap: float, planted: str = "") -> None:
@@ -73,14 +80,15 @@ def check_sweep(place: Path, gap: float, planted: str = "") -> None:
 
 def check(trials: int, seed: int = 0) -> str:
     """Do both so often; return a line of what was seen."""
-    draw = random.Random(seed)
+    draw, met = random.Random(seed), 0
     for _ in range(trials):
-        for run in (check_run, check_sweep):
-            with tempfile.TemporaryDirectory() as place:
-                run(Path(place), draw.uniform(0, 0.1))
+        with tempfile.TemporaryDirectory() as place:
+            met += check_run(Path(place), draw.uniform(0, 0.1))
+        with tempfile.TemporaryDirectory() as place:
+            check_sweep(Path(place), draw.uniform(0, 0.1))
     return (
-        f"{trials} runs and {trials} sweeps of 4 jobs begun twice at once: 0 trained twice,"
-        " 0 left out, 0 drivers failed"
+        f"{met} runs and {trials} sweeps of 4 jobs begun twice at once: 0 trained twice, 0 left"
+        " out, 0 drivers failed"
     )
 
 
