@@ -13,23 +13,16 @@ from importlib import import_module
 from types import FrameType
 from typing import Any
 
+from marl_clean.trainer._interrupts import EARLIER, Signals
+
 ENDING = (signal.SIGTERM, signal.SIGINT)
 
 
-class Signals:
-    """The signal that came last, whatever became of the exception that it raised.
-
-    Attributes:
-        number: of the signal, or None.
-    """
-
-    number: int | None = None
-
-    def raising(self, number: int, frame: FrameType | None) -> None:
-        self.number = number
-        if number == signal.SIGINT:
-            raise KeyboardInterrupt
-        raise SystemExit(128 + number)
+def raising(number: int, frame: FrameType | None) -> None:
+    EARLIER.number = number
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt
+    raise SystemExit(128 + number)
 
 
 def end_at_once(number: int, frame: FrameType | None) -> None:
@@ -45,15 +38,14 @@ def end_at_once_by_signals() -> None:
 @contextmanager
 def handled() -> Iterator[Signals]:
     """Within this context signals raise, unless they end the process at once; then as before."""
-    signals, before = Signals(), {number: signal.getsignal(number) for number in ENDING}
-    outer = list(_current)
-    _current[:] = [signals]
+    before = {number: signal.getsignal(number) for number in ENDING}
+    EARLIER.number = None
     try:
-        if signal.getsignal(signal.SIGTERM) is not end_at_once:
+        if before[signal.SIGTERM] is not end_at_once:
             _raise_from_now_on()
-        yield signals
+        yield EARLIER
     finally:
-        _current[:] = outer
+        EARLIER.number = None
         for number, handler in before.items():
             signal.signal(number, handler)
 
@@ -65,11 +57,6 @@ def begin(command: str) -> Any:
     return module
 
 
-_current: list[Signals] = []
-"""Of the command that is carried out, if there is one."""
-
-
 def _raise_from_now_on() -> None:
-    for signals in _current:
-        for number in ENDING:
-            signal.signal(number, signals.raising)
+    for number in ENDING:
+        signal.signal(number, raising)

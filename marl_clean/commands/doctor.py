@@ -4,25 +4,19 @@ import os
 import platform
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from importlib import metadata, util
 
 from packaging.requirements import Requirement
+from packaging.version import Version
 
 from marl_clean import __version__
+from marl_clean.commands._machine import Finding, gpu, machine_findings
 from marl_clean.config.levels import conf_folder
+from marl_clean.config.locate import own
 from marl_clean.errors import BadInput
 
 DISTRIBUTION = "marl-clean"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One line of the report; `remedy` is empty where nothing is wrong."""
-
-    name: str
-    state: str
-    remedy: str = ""
+TESTED = "constraints.txt"  # of a checkout: the versions that figures were measured with
 
 
 def findings() -> Iterator[Finding]:
@@ -32,6 +26,7 @@ def findings() -> Iterator[Finding]:
     yield _conf()
     yield from _distributions()
     yield from _device()
+    yield from machine_findings()
 
 
 def lines_of(report: Sequence[Finding]) -> list[str]:
@@ -60,13 +55,22 @@ def _distributions() -> Iterator[Finding]:
         return
     # A package that several extras require is listed once.
     requirements = {requirement.name: requirement for requirement in map(Requirement, declared)}
+    tested = _tested()
     extras = {name: _extra_of(requirement) for name, requirement in requirements.items()}
     for name in sorted(requirements, key=lambda name: (extras[name] or "", name)):
         if name != DISTRIBUTION:
-            yield _distribution(requirements[name], extras[name])
+            yield _distribution(requirements[name], extras[name], tested.get(name))
 
 
-def _distribution(requirement: Requirement, extra: str | None) -> Finding:
+def _tested() -> dict[str, str]:
+    """The version of each package that figures were measured with, where this is a checkout."""
+    path = own().folder.parent / TESTED
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    pinned = (line.split("==") for line in lines if "==" in line)
+    return {name: version.strip() for name, version in pinned}
+
+
+def _distribution(requirement: Requirement, extra: str | None, tested: str | None) -> Finding:
     wanted = f"{requirement.name}{requirement.specifier}"
     remedy = f"pip install '{wanted}'"
     try:
@@ -75,6 +79,8 @@ def _distribution(requirement: Requirement, extra: str | None) -> Finding:
         state = f"not installed (extra {extra})" if extra else "missing"
         return Finding(wanted, state, "" if extra else remedy)
     fits = requirement.specifier.contains(version, prereleases=True)
+    if fits and tested is not None and Version(version).public != tested:
+        version += f" (measured with {tested}; pip install '{requirement.name}=={tested}')"
     return Finding(wanted, version, "" if fits else remedy)
 
 
@@ -99,6 +105,8 @@ def _device() -> Iterator[Finding]:
     ]
     devices += ["mps"] if torch.backends.mps.is_available() else []
     yield Finding("devices", ", ".join(["cpu", *devices]))
+    if (unseen := gpu(torch.cuda.device_count())) is not None:
+        yield unseen
 
     from marl_clean.learning.arithmetic import computes_bfloat16
 

@@ -4,8 +4,24 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import FrameType
 from typing import Any
+
+
+@dataclass
+class Signals:
+    """Those of one command.
+
+    Attributes:
+        number: of the last that came, or None.
+    """
+
+    number: int | None = None
+
+
+EARLIER = Signals()
+"""What came before a training looks for signals, should a library lose the exception of it."""
 
 
 class Stopped(Exception):
@@ -28,6 +44,7 @@ class Interrupts:
         if threading.current_thread() is threading.main_thread():  # others cannot have handlers
             for number in (signal.SIGTERM, signal.SIGINT):
                 self._before[number] = signal.signal(number, self._note)
+            self.signal = EARLIER.number
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -1,13 +1,15 @@
 """Signals at any moment: `python -m tests.reliability.signals --trials 200 --starts 40`.
 
 A fork of this warm process trains as a command does, on and off policy by turns, and gets SIGTERM
-or SIGINT at a random moment from its first on; often its updates are made slow, so that learning
-from one block takes 20 s. It must end with 143 or 130 within 5 s, and the same training again must
-end with the weights and rows of the one that was left alone. Whole processes of `train` get their
-signal while Python, the settings and torch are loaded: they must end so without a traceback.
+or SIGINT at a random moment from its first on; often each update is made slow, so that learning
+from one block takes longer than it may take to end. It must end with 143 or 130 within 5 s, and
+the same training again must end with the weights and rows of the one that was left alone. Whole
+processes of `train` get their signal while Python, the settings and torch are loaded: they must end
+so without a traceback.
 """
 
 import argparse
+import faulthandler
 import logging
 import os
 import random
@@ -34,8 +36,7 @@ from tests.trainer.test_resume import KINDS, train
 
 KINDS_TRIED = ("on policy", "mixed", "with memory", "pqn")
 MOST_SECONDS = 5.0  # from a signal to the end
-BLOCK_SECONDS = 20.0  # of learning from a block whose updates are slow
-UPDATES = {"on policy": 4, "pqn": 4, "mixed": 2, "with memory": 2}  # of a block, or more
+SLOW_SECONDS = 2.6  # of an update that is made slow; a block has two or more
 ROOT = Path(__file__).parents[2]
 
 
@@ -44,11 +45,12 @@ class Broken(AssertionError):
 
 
 @contextmanager
-def slow_updates(seconds: float) -> Iterator[None]:
-    """Within this context each update takes so long."""
+def slow_updates(seconds: float, begun: Path) -> Iterator[None]:
+    """Within this context each update takes so long, and the first makes the file `begun`."""
 
     def slowed(update: Callable) -> Callable:
         def run(*arguments: object) -> object:
+            begun.touch()
             time.sleep(seconds)
             return update(*arguments)
 
@@ -79,6 +81,7 @@ def in_a_fork(run: Callable[[], None], errors: Path) -> int:
     code = 1
     try:
         os.dup2(os.open(errors, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
+        faulthandler.register(signal.SIGUSR1)
         end_at_once_by_signals()
         signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 
@@ -103,9 +106,13 @@ def ended(process: int, within: float) -> tuple[int, float]:
         if done:
             return os.waitstatus_to_exitcode(status), time.monotonic() - began
         time.sleep(0.01)
+    cpu = sum(map(int, Path(f"/proc/{process}/stat").read_text().split()[13:15]))
+    if _catches(process, signal.SIGUSR1):  # a fork writes where it is
+        os.kill(process, signal.SIGUSR1)
+        time.sleep(0.5)
     os.kill(process, signal.SIGKILL)
     os.waitpid(process, 0)
-    raise Broken(f"has not ended {within} s after its signal")
+    raise Broken(f"has not ended {within} s after its signal; {cpu} ticks of CPU since its start")
 
 
 def interrupt(
@@ -118,17 +125,26 @@ def interrupt(
 ) -> tuple[float, bool]:
     """Signal a training after `wait` seconds, and finish it; with None it signals itself.
 
+    `slow`: its updates, from the first of which on it waits.
+
     Return how long it took to end, and whether that was between two updates of a block.
 
     Raises Broken where a promise does.
     """
     folder, whole = place / "torn", place / kind
-    with slow_updates(BLOCK_SECONDS / UPDATES[kind] if slow else 0.0):
+    begun = place / "begun"
+    with slow_updates(SLOW_SECONDS if slow else 0.0, begun):
         process = in_a_fork(lambda: train(folder, kind), place / "errors.txt")
     if wait is not None:
+        while slow and not begun.exists():
+            time.sleep(0.01)
         time.sleep(wait)
         os.kill(process, number)
-    code, seconds = ended(process, within)
+    try:
+        code, seconds = ended(process, within)
+    except Broken as error:
+        said = (place / "errors.txt").read_text()
+        raise Broken(f"{kind}, signal {number} after {wait} s: {error}: {said[-2000:]}") from None
     said = (place / "errors.txt").read_text()
     if code not in (0, 128 + number) or "Traceback" in said:
         raise Broken(f"{kind}, signal {number} after {wait} s: exit {code}: {said[-2000:]}")
@@ -153,7 +169,7 @@ def check(trials: int, seed: int = 0) -> str:
             lasts[kind] = time.monotonic() - began
         for trial in range(trials):
             kind, slow = KINDS_TRIED[trial % len(KINDS_TRIED)], trial % 3 == 1
-            wait = draw.uniform(0, 2.0 if slow else lasts[kind])
+            wait = draw.uniform(0, 3.0 if slow else lasts[kind])
             with tempfile.TemporaryDirectory(dir=folder) as place:
                 os.symlink(Path(folder) / kind, Path(place) / kind)
                 number = ENDING[trial // 2 % 2]
