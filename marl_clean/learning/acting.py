@@ -172,7 +172,7 @@ class Choice(Categorical):
     def deterministic_sample(self) -> Tensor:
         return self.mode
 
-    def sample(self, sample_shape: torch.Size = _NO_SHAPE) -> Tensor:
+    def sample(self, sample_shape: torch.Size | list[int] | tuple[int, ...] = _NO_SHAPE) -> Tensor:
         self.probs = torch.where(self.probs.isfinite(), self.probs, 1.0)
         return super().sample(sample_shape)
 
