@@ -24,6 +24,7 @@ from marl_clean.learning.networks import Entries, RobotsNetwork
 from marl_clean.learning.schedules import Epsilon
 from marl_clean.world.random import Purpose, random_bits
 
+_Shape = torch.Size | list[int] | tuple[int, ...]
 _NO_SHAPE = torch.Size()
 OF_MESSAGES = (keys.MESSAGE, keys.MESSAGE_EDGES, keys.MESSAGE_BITS)
 OF_TOLD = (keys.TOLD_PATCH, keys.TOLD_EDGES, keys.TOLD_PLACE)
@@ -172,7 +173,7 @@ class Choice(Categorical):
     def deterministic_sample(self) -> Tensor:
         return self.mode
 
-    def sample(self, sample_shape: torch.Size | list[int] | tuple[int, ...] = _NO_SHAPE) -> Tensor:
+    def sample(self, sample_shape: _Shape = _NO_SHAPE) -> Tensor:
         self.probs = torch.where(self.probs.isfinite(), self.probs, 1.0)
         return super().sample(sample_shape)
 
