@@ -206,6 +206,7 @@ def check_starts(starts: int, seconds: float, seed: int = 0) -> str:
                 if is_ours:
                     raise
                 code, took = 1, 0.0
+            process.returncode = code  # it is waited for already
             said = Path(place, "errors.txt").read_text()
             if is_ours and (code != 128 + number or "Traceback" in said):
                 raise Broken(f"signal {number} after {wait:.3f} s: exit {code}: {said[-2000:]}")

@@ -11,6 +11,7 @@ from tests.reliability.crash_points import Broken, crash, save_and_prune, write_
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 def test_a_crash_leaves_the_old_or_the_new() -> None:
     count = crash(every=8)
     assert set(count) == {"SIGKILL", "KeyboardInterrupt", "power cut"}

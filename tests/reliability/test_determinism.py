@@ -29,7 +29,7 @@ def test_a_draw_from_the_global_generator_is_caught(monkeypatch: pytest.MonkeyPa
     assert where is not None and "differs" in where
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_processes_with_one_seed_end_alike_and_another_seed_does_not() -> None:
     assert determinism.compared(["iql:0:1", "iql:1:1"]) == []
 

@@ -24,6 +24,7 @@ def test_kills_at_any_moment_lose_nothing(iql: Training, delayed: Training) -> N
     assert seen.in_saves >= 3
 
 
+@pytest.mark.long
 def test_a_random_state_that_is_not_restored_is_seen(
     iql: Training, monkeypatch: pytest.MonkeyPatch
 ) -> None:

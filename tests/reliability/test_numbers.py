@@ -28,6 +28,7 @@ def test_a_number_that_is_not_finite_stops_a_run_before_the_disk() -> None:
     assert numbers.failures(trials) == []
 
 
+@pytest.mark.long
 def test_a_guard_that_looks_at_the_loss_alone_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     everything = _finite.not_finite
 

@@ -16,7 +16,7 @@ from tests.reliability.short_jobs import train_by
 TRIALS = 40
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_wrong_settings_are_refused_in_a_line_before_torch_is_imported(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "tests.reliability.settings", "--trials", str(TRIALS)],

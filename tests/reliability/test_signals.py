@@ -18,10 +18,12 @@ from tests.trainer.test_resume import train
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread", "unchecked")]
 
 
+@pytest.mark.long
 def test_trainings_that_get_a_signal_at_any_moment_go_on_exactly() -> None:
     assert check(4).startswith("4 signals to trainings")
 
 
+@pytest.mark.long
 def test_a_process_that_gets_a_signal_while_it_starts_ends_by_it() -> None:
     assert check_starts(4, seconds=1.5).startswith("4 signals in the first 1.5 s")
 
@@ -50,6 +52,7 @@ def signal_at_update(monkeypatch: pytest.MonkeyPatch, nth: int) -> None:
     monkeypatch.setattr(OnPolicyLoop, "update", signalling)
 
 
+@pytest.mark.long
 def test_a_signal_that_is_looked_at_only_between_blocks_is_caught(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -62,6 +65,7 @@ def test_a_signal_that_is_looked_at_only_between_blocks_is_caught(
         interrupt(tmp_path, "on policy", signal.SIGTERM, None, slow=True)
 
 
+@pytest.mark.long
 def test_a_state_in_the_middle_of_a_block_that_forgets_some_of_it_is_caught(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
