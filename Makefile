@@ -3,7 +3,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DELETE_ON_ERROR:
-.PHONY: help setup train test test-fast test-all lint docs benchmark clean
+.PHONY: help setup train test test-fast test-all reliability lint docs benchmark clean
 
 PYTHON ?= python3.11
 VENV := .venv
@@ -15,6 +15,7 @@ help:
 	@echo "make test        set up, run the tests, but those that take long"
 	@echo "make test-fast   set up, run the quick tests, a few cases of each family"
 	@echo "make test-all    set up, run all tests"
+	@echo "make reliability set up, kill, damage and deceive it for hours"
 	@echo "make lint        set up, check format and types"
 	@echo "make docs        set up, build the pages into site/"
 	@echo "make benchmark   set up, measure speed"
@@ -45,6 +46,22 @@ test-fast: $(INSTALLED)
 
 test-all: $(INSTALLED)
 	$(PYTEST)
+
+# The long forms of what the tests do a few times; docs/reliability.md has their last figures.
+HARNESS := OMP_NUM_THREADS=1 $(RUN) tests.reliability
+reliability: $(INSTALLED)
+	$(HARNESS).kills --trials 1000
+	$(HARNESS).crash_points
+	$(HARNESS).full_disk --trials 200
+	$(HARNESS).damage --trials 100
+	$(HARNESS).mutations --trials 20000
+	$(HARNESS).numbers --trials 1914
+	$(HARNESS).settings --trials 3600 --by-hand
+	$(HARNESS).signals --trials 200 --starts 40
+	$(HARNESS).at_once --trials 10
+	$(HARNESS).determinism --steps 10000
+	$(HARNESS).pages
+	$(HARNESS).sweeps basic joblib
 
 $(VENV)/.installed-dev: $(INSTALLED)
 	$(RUN) pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
