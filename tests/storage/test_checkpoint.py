@@ -16,6 +16,7 @@ from torch import nn
 from marl_clean.errors import BadInput
 from marl_clean.storage import files
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints, fit_weights, load_weights
+from tests.reliability.damage import damage
 
 TREE = {
     "weights": {"a.0": torch.randn(3, 2), "b": torch.randn(2, 3, 4, 5)},
@@ -94,18 +95,6 @@ def test_a_run_that_goes_back_forgets_what_came_after(tmp_path):
 
 def test_without_any_there_is_none(tmp_path):
     assert Checkpoints(tmp_path / "absent").newest("state") is None
-
-
-def damage(path: Path, kind: str, draw: random.Random) -> None:
-    file = draw.choice(sorted(path.iterdir()))
-    content = bytearray(file.read_bytes())
-    if kind == "truncate":
-        file.write_bytes(content[: draw.randrange(len(content))])
-    elif kind == "flip":
-        content[draw.randrange(len(content))] ^= 1 << draw.randrange(8)
-        file.write_bytes(content)
-    else:
-        file.unlink()
 
 
 @pytest.mark.parametrize(("kind", "trials"), [("truncate", 100), ("flip", 100), ("delete", 20)])
