@@ -10,13 +10,13 @@ from omegaconf import OmegaConf
 
 from marl_clean import build, cli
 from marl_clean.commands import train
-from marl_clean.commands.run_info import PICTURES
 from marl_clean.config.compose import compose_config
 from marl_clean.config.config_hash import config_hash
 from marl_clean.config.stored import compose_for_policy, compose_for_training, load_config
 from marl_clean.errors import BadInput
 from marl_clean.evaluation.records import read_entries
 from marl_clean.storage.checkpoint import FOLDER, Checkpoints, load_weights
+from tests.reliability import short_jobs
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("unchecked")]  # a run is trained
 
@@ -264,11 +264,7 @@ def test_learning_may_change_where_the_network_stays(place: Path) -> None:
 def test_a_sweep_starts_every_job_from_the_run(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def touch(cfg: object, folder: Path) -> None:
-        for name in PICTURES:
-            (folder / name).touch()
-
-    monkeypatch.setattr(train, "draw", touch)  # a job without pictures is not finished
+    monkeypatch.setattr(train, "draw", short_jobs.draw)
     sweep = ["train", "-m", "hydra/launcher=basic", "hydra/hydra_logging=none", *AT_HOME]
     assert cli.main([*sweep, "seed=1,2", "trainer.total_frames=128", "evaluation.houses=1"]) == 0
     tuned = [load_config(path) for path in Path("runs").glob("finetune-*")]

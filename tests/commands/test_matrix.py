@@ -8,8 +8,8 @@ from omegaconf import OmegaConf
 from marl_clean import cli
 from marl_clean.commands import train
 from marl_clean.commands.matrix import Trained, section_of, trained_over
-from marl_clean.commands.run_info import PICTURES
 from marl_clean.config.compose import compose_config
+from tests.reliability import short_jobs
 from tests.report.reading import origin_of
 
 pytestmark = pytest.mark.usefixtures("one_thread", "unchecked")
@@ -32,18 +32,12 @@ TINY = [
 ]
 
 
-def touch(config, folder):
-    """Stand in for the drawing of a run's pictures."""
-    for name in PICTURES:
-        (folder / name).touch()
-
-
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     place = tmp_path_factory.mktemp("matrix")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
-        patch.setattr(train, "draw", touch)
+        patch.setattr(train, "draw", short_jobs.draw)
         swept = ["channel=perfect,delayed", "comm=plan", "seed=0,1", "name=x"]
         assert cli.main(["train", "-m", "hydra/launcher=basic", *TINY, *swept]) == 0
         assert cli.main(["train", *TINY, "comm=none", "name=silent"]) == 0

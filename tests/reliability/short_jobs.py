@@ -83,7 +83,7 @@ def finish(config: Any, folder: Path) -> None:
 
     from marl_clean.config.config_hash import config_hash
     from marl_clean.evaluation.records import make_entry, write_entries
-    from marl_clean.storage import files, manifest, pictures
+    from marl_clean.storage import files, manifest
 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
@@ -97,9 +97,17 @@ def finish(config: Any, folder: Path) -> None:
         make_entry(config.name, "test", config_hash(config), 0.02, 2, houses(value)),
         make_entry("nearest_unknown", "test", config_hash(config), 0.0, 2, houses(50)),
     ]
-    for name in ("curve.png", "replay.gif"):
-        (folder / name).write_bytes(b"".join(pictures.WHOLE[Path(name).suffix]))
+    draw(config, folder)
     write_entries(folder / "evaluation.json", entries)
+
+
+def draw(config: Any, folder: Path) -> None:
+    """Stand in for the drawing of a run's pictures, without which it is not finished."""
+    from marl_clean.commands.run_info import PICTURES
+    from marl_clean.storage.pictures import WHOLE
+
+    for name in PICTURES:
+        (folder / name).write_bytes(b"".join(WHOLE[Path(name).suffix]))
 
 
 def houses(value: int) -> list[dict]:
