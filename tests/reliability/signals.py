@@ -156,8 +156,8 @@ def interrupt(
     return seconds, code != 0 and state is not None and state.tree["owed"] is not None
 
 
-def check(trials: int, seed: int = 0) -> str:
-    """Interrupt trainings; return a line of what was seen."""
+def check(trials: int, seed: int = 0, within: float = MOST_SECONDS) -> str:
+    """Interrupt trainings, which end `within` seconds; return a line of what was seen."""
     torch.set_num_threads(1)
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it reports every buffer it makes
     draw, longest, in_blocks = random.Random(seed), 0.0, 0
@@ -173,7 +173,7 @@ def check(trials: int, seed: int = 0) -> str:
             with tempfile.TemporaryDirectory(dir=folder) as place:
                 os.symlink(Path(folder) / kind, Path(place) / kind)
                 number = ENDING[trial // 2 % 2]
-                seconds, in_block = interrupt(Path(place), kind, number, wait, slow)
+                seconds, in_block = interrupt(Path(place), kind, number, wait, slow, within)
             longest, in_blocks = max(longest, seconds), in_blocks + in_block
     return (
         f"{trials} signals to trainings, {in_blocks} between updates of a block: 0 other exit"
@@ -181,7 +181,7 @@ def check(trials: int, seed: int = 0) -> str:
     )
 
 
-def check_starts(starts: int, seconds: float, seed: int = 0) -> str:
+def check_starts(starts: int, seconds: float, seed: int = 0, within: float = MOST_SECONDS) -> str:
     """Signal whole processes within their first `seconds`; return a line of what was seen.
 
     Before the program's first line a signal is Python's own affair: it is sent again if it is lost.
@@ -201,7 +201,7 @@ def check_starts(starts: int, seconds: float, seed: int = 0) -> str:
             is_ours = _catches(process.pid, signal.SIGTERM)
             process.send_signal(number)
             try:
-                code, took = ended(process.pid, MOST_SECONDS)
+                code, took = ended(process.pid, within)
             except Broken:
                 if is_ours:
                     raise

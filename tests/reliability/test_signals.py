@@ -15,17 +15,18 @@ from marl_clean.trainer.on_policy import OnPolicyLoop
 from tests.reliability.signals import Broken, check, check_starts, interrupt
 from tests.trainer.test_resume import train
 
+PATIENCE = 60.0  # seconds: how soon they end is measured by the harness alone, on an idle machine
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread", "unchecked")]
 
 
 @pytest.mark.long
 def test_trainings_that_get_a_signal_at_any_moment_go_on_exactly() -> None:
-    assert check(4).startswith("4 signals to trainings")
+    assert check(4, within=PATIENCE).startswith("4 signals to trainings")
 
 
 @pytest.mark.long
 def test_a_process_that_gets_a_signal_while_it_starts_ends_by_it() -> None:
-    assert check_starts(4, seconds=1.5).startswith("4 signals in the first 1.5 s")
+    assert check_starts(4, seconds=1.5, within=PATIENCE).startswith("4 signals in the first 1.5 s")
 
 
 def test_a_signal_whose_exception_a_library_loses_stops_the_training_all_the_same() -> None:
