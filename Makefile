@@ -61,6 +61,8 @@ reliability: $(INSTALLED)
 	$(HARNESS).at_once --trials 10
 	$(HARNESS).determinism --steps 10000
 	$(HARNESS).pages
+	$(HARNESS).simulator --steps 1000000
+	$(HARNESS).soak --seconds 1800
 	$(HARNESS).sweeps basic joblib
 
 $(VENV)/.installed-dev: $(INSTALLED)
