@@ -110,7 +110,7 @@ def test_every_key_is_explained(path: Path) -> None:
     assert [key for key in keys if " # " not in key and "_target_" not in key] == []
 
 
-@family("path", sorted(CONF.glob("experiment/*.yaml")), fast=4, ids=name_of)
+@family("path", sorted(CONF.glob("experiment/*.yaml")), fast=4, usual=12, ids=name_of)
 def test_a_preset_composes_and_names_its_runs(path: Path) -> None:
     assert compose.compose_config([f"+experiment={path.stem}"]).name.startswith(f"{path.stem}-")
 

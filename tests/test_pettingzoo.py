@@ -61,6 +61,7 @@ def test_pettingzoo_accepts_it_agent_by_agent(extras: dict[str, bool]) -> None:
     api_test(parallel_to_aec(make(**extras)), num_cycles=100)
 
 
+@pytest.mark.slow
 def test_pettingzoo_finds_it_seeded() -> None:
     parallel_seed_test(make)
 
@@ -153,6 +154,7 @@ def test_a_mask_is_all_ones_between_known_walls() -> None:
     assert all(seen["action_mask"].all() for seen in env._observations().values())
 
 
+@pytest.mark.slow
 def test_masked_actions_bump_into_no_wall_of_a_memorised_house() -> None:
     env = make("env.knowledge=memorised", action_masks=True)
     seen, _ = env.reset(seed=2)

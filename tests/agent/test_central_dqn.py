@@ -38,6 +38,7 @@ def test_joint_actions_decode_without_loss(n_agents):
     assert len(set(map(tuple, parts.tolist()))) == 4**n_agents
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(0, 3), min_size=1, max_size=5))
 def test_robot_0_is_the_lowest_digit(actions):
     number = int("".join(map(str, reversed(actions))), 4)
@@ -111,6 +112,7 @@ def test_updates_equal_plain_pytorch(double, n_agents):
         torch.testing.assert_close(learned, expected)
 
 
+@pytest.mark.slow
 def test_six_robots_are_too_many():
     with pytest.raises(BadInput, match=r"env.n_agents=6: .* at most 1,024 .5 robots"):
         make("env.n_agents=6")

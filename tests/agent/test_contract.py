@@ -169,12 +169,14 @@ def moved(learner: str, kind=None) -> DeepQ:
     return agent
 
 
+@pytest.mark.slow
 def test_vdn_adds_values_and_rewards_up():
     agent, batch = moved("vdn"), team_batch()
     expected = team_loss(agent, batch, lambda values, state: values.sum(1))
     torch.testing.assert_close(agent.update(batch)["loss"], expected.detach())
 
 
+@pytest.mark.slow
 def test_qmix_mixes_by_the_state():
     agent, batch = moved("qmix"), team_batch()
     mixer = copy.deepcopy(agent.learnt["mixer_network"].module)

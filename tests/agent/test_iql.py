@@ -154,6 +154,7 @@ def test_dropout_acts_in_learning_only():
     assert torch.equal(act(seen.clone())[keys.ACTION_VALUE], act(seen.clone())[keys.ACTION_VALUE])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["soft", "hard"])
 def test_learning_goes_on_exactly_from_a_state(target):
     first, second = make_agent(target_update=target), make_agent(target_update=target)

@@ -43,6 +43,7 @@ def test_the_bonus_falls_linearly_and_is_in_the_loss() -> None:
     torch.testing.assert_close(torch.stack(losses), expected)
 
 
+@pytest.mark.slow
 def test_without_an_end_the_bonus_stays() -> None:
     agent = make_learner("mappo", "plan")
     agent.anneal(1.0)

@@ -37,7 +37,7 @@ STACKS: dict[str, Stack] = {
     },
 }
 over_all = pytest.mark.parametrize("stack", STACKS.values(), ids=STACKS)
-for_all = family("level", SCHEMES, fast=2, usual=8)
+for_all = family("level", SCHEMES, fast=1, usual=8)
 
 
 @over_all

@@ -138,7 +138,7 @@ def train_off_policy(
     run(trainer, agent, folder, doors_for(agent, hold, worlds), hold)
 
 
-@family("comm", TALKING, fast=[], usual=["commnet", "dial"])
+@family("comm", TALKING, fast=[], usual=["commnet"])
 def test_who_talks_opens_the_right_door(tmp_path, comm):
     scheme = make(comm)
     hold = 1 + max(scheme.delay_steps, bool(scheme.remembers))  # what is remembered is sent later

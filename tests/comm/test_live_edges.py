@@ -54,6 +54,7 @@ def test_they_are_the_plain_ones_and_so_are_their_gradients(batch, n_agents, see
             torch.testing.assert_close(one, other)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(st.integers(1, 6), st.integers(0, 1_000), st.sampled_from([torch.nan, torch.inf]))
 def test_what_is_not_finite_crosses_the_live_edges_and_no_other(n_agents, seed, ill) -> None:

@@ -18,7 +18,7 @@ def name_of(value) -> str:
 
 
 @pytest.mark.parametrize("clause", CLAUSES, ids=name_of)
-@family("variant", VARIANTS + DILUTED, fast=2, ids=name_of)
+@family("variant", VARIANTS + DILUTED, fast=2, usual=18, ids=name_of)
 def test_the_contract(variant: tuple[str, dict], clause: Clause) -> None:
     clause(maker_of(variant[0], **variant[1]))
 

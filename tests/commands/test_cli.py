@@ -128,6 +128,7 @@ def test_the_optimum_without_or_tools_is_refused_before_training(
     assert "needs OR-tools" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["benchmark", "watch planner=random env.compile=true"])
 def test_compiling_from_a_path_with_a_space_is_bad_input(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -280,6 +281,7 @@ def test_list_shows_every_level_and_its_claim() -> None:
             assert name == level and claim.strip()
 
 
+@pytest.mark.slow
 def test_doctor_finds_nothing_missing(capsys: pytest.CaptureFixture[str]) -> None:
     code = cli.main(["doctor"])
     out = capsys.readouterr().out

@@ -79,6 +79,7 @@ def test_of_one_seed_the_cells_are_those_of_the_terminal(runs: list[str]) -> Non
     ]
 
 
+@pytest.mark.slow
 def test_a_run_without_interventions_has_no_part(tmp_path: Path) -> None:
     run = write_run(tmp_path / "plan-s0", [], [40, 60])
     assert parts_of([run]) == []

@@ -85,6 +85,7 @@ def test_generated_houses_need_no_line(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_training_reports_the_plans_it_is_measured_on_once_each(
     plan: list[str], capfd: pytest.CaptureFixture[str]
 ) -> None:

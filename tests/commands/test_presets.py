@@ -143,7 +143,7 @@ def test_a_preset_trains_and_measures(
         assert 0 < entry["summary"]["coverage"]["mean"] <= 1
 
 
-@family("path", ALL, fast=4, ids=lambda path: f"{path.parent.name}={path.stem}")
+@family("path", ALL, fast=4, usual=12, ids=lambda path: f"{path.parent.name}={path.stem}")
 def test_what_is_read_in_a_preset_is_what_hydra_composes(path: Path) -> None:
     override = [f"{path.parent.name}={path.stem}"]
     ours = compose.apply(

@@ -120,6 +120,7 @@ def record_in(folder: Path) -> dict[str, Any]:
     return json.loads((folder / RECORD).read_text())
 
 
+@pytest.mark.slow
 def test_every_process_is_added_and_says_how_it_ended(tmp_path: Path) -> None:
     cfg = compose_config(["name=mine", "seed=3"])
     with issued(["train", "name=mine"]), pytest.raises(SystemExit):

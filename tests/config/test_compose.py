@@ -208,6 +208,7 @@ def test_the_default_name_is_run_and_eight_digits() -> None:
     assert compose_config(["name=mine"]).name == "mine"
 
 
+@pytest.mark.slow
 def test_composing_works_inside_another_hydra_program(tmp_path: Path) -> None:
     (tmp_path / "theirs.yaml").write_text("a: 1")
     with initialize_config_dir(str(tmp_path), version_base="1.3"):
@@ -233,6 +234,7 @@ def test_a_checkpoint_brings_its_config_and_settings_go_on_top(run: Path) -> Non
     assert compose_for_policy([f"checkpoint={run}"]).env.n_agents == 3
 
 
+@pytest.mark.slow
 def test_noise_on_what_is_seen_fits_any_weights(run: Path) -> None:
     config = compose_for_policy(["checkpoint=mine", "observation.position_noise=0.1"])
     assert config.observation.position_noise == 0.1

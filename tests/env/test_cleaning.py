@@ -94,6 +94,7 @@ def test_env_i_of_many_is_env_i_alone() -> None:
         assert (alone_steps[:, 0] == steps[:, index]).all()
 
 
+@pytest.mark.slow
 def test_a_partial_reset_touches_no_other_world_and_no_recorded_step() -> None:
     env = small_env(num_envs=5)
     steps = stepped(env, actions_for(10, 5))
@@ -135,6 +136,7 @@ def test_a_state_of_other_sizes_is_refused() -> None:
         small_env(num_envs=4).base_env.load_state_dict(small_env(num_envs=3).base_env.state_dict())
 
 
+@pytest.mark.slow
 def test_a_transform_adds_up_what_neighbours_earn() -> None:
     """Contact of the moment the actions were chosen, not of the moment after."""
     free = np.ones((1, 12), dtype=bool)
@@ -169,6 +171,7 @@ def test_fixed_order_puts_house_i_in_env_i_and_random_order_draws() -> None:
     assert len(set(drawn.state.house.tolist())) > 35
 
 
+@pytest.mark.slow
 def test_render_gives_frames_of_one_size() -> None:
     env = small_env()
     env.reset()

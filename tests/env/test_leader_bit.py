@@ -16,6 +16,7 @@ def test_it_is_an_env_by_torchrls_rules() -> None:
     check_env_specs(make_env(PROBE))
 
 
+@pytest.mark.slow
 def test_followers_earn_by_the_bit_that_the_leader_alone_sees() -> None:
     env = make_env([*PROBE, "env.num_envs=200"])
     env.set_seed(3)
@@ -39,6 +40,7 @@ def test_followers_earn_by_the_bit_that_the_leader_alone_sees() -> None:
         td = after
 
 
+@pytest.mark.slow
 def test_leaders_and_bits_are_all_drawn_and_each_world_alone_is_the_same() -> None:
     env = make_env([*PROBE, "env.num_envs=400"])
     env.set_seed(5)
@@ -82,7 +84,7 @@ def test_a_leader_needs_a_follower() -> None:
     ("settings", "solves"),
     [
         (["comm=commnet"], True),
-        (["comm=commnet", "channel=self_send"], False),
+        pytest.param(["comm=commnet", "channel=self_send"], False, marks=pytest.mark.long),
         pytest.param(["comm=commnet", "channel=constant"], False, marks=pytest.mark.long),
     ],
 )

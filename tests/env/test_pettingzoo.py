@@ -152,6 +152,7 @@ def test_agents_are_paid_in_the_tasks_order(copies: dict[str, Any]) -> None:
     assert later[keys.REWARD][..., 0].tolist() == [[11, 11], [15, 15], [18, 18]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("action", [-1, 5])
 def test_an_invalid_action_is_one_line(copies: dict[str, Any], action: int) -> None:
     env = make_env(SPREAD)
@@ -161,6 +162,7 @@ def test_an_invalid_action_is_one_line(copies: dict[str, Any], action: int) -> N
         env.step(td)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("terminates", [True, False])
 def test_an_episode_ends_for_all_when_it_ends_for_one(
     copies: dict[str, Any], terminates: bool

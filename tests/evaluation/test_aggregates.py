@@ -160,6 +160,7 @@ def test_statistics_lie_among_the_values_and_forget_the_order(matrix: Matrix) ->
         assert statistic(-values) == pytest.approx(-result, abs=1e-9)
 
 
+@pytest.mark.slow
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(matrices)
 def test_an_interval_is_in_order_and_among_the_values(matrix: Matrix) -> None:
@@ -168,6 +169,7 @@ def test_an_interval_is_in_order_and_among_the_values(matrix: Matrix) -> None:
     assert values.min() - 1e-9 <= low <= high <= values.max() + 1e-9
 
 
+@pytest.mark.slow
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(matrices)
 def test_the_optimality_gap_is_never_negative_and_needs_no_better_than_1(matrix: Matrix) -> None:

@@ -241,6 +241,7 @@ def test_names():
             communicating(policy_of(f"comm={comm}")[1], "x")
 
 
+@pytest.mark.slow
 def test_wrong_arguments_are_refused_in_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["evaluate", "planner=random", "intervention=zero"]) == 2

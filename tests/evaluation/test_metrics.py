@@ -79,7 +79,7 @@ MEASURED = [
 MEASURED += [(1, False, Memory.PRIVATE, 0), (3, False, Memory.SHARED, 3)]  # T_certify alone lacks
 
 
-@family(("n_agents", "certify", "memory", "spilling"), MEASURED, fast=MEASURED[8:])
+@family(("n_agents", "certify", "memory", "spilling"), MEASURED, fast=MEASURED[8:], usual=2)
 def test_random_episodes_are_measured_as_by_the_plain_world(n_agents, certify, memory, spilling):
     env = env_of(
         houses_of(*HOUSES),

@@ -77,6 +77,7 @@ def test_the_optimum_is_that_of_a_search_over_all_schedules(drawn) -> None:
     assert optimal_T_100(house, np.array(starts)) == plain_optimum(free, tuple(starts))
 
 
+@pytest.mark.slow
 def test_one_robot_in_a_comb_pays_for_each_tooth_but_the_last() -> None:
     comb = house_of("....... .#.#.#. .#.#.#.")
     assert optimal_T_100(comb, np.array([[2, 0]])) == 14 + 2 + 2

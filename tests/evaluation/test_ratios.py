@@ -89,6 +89,7 @@ def test_pairing_leaves_houses_out_of_the_interval() -> None:
     assert (low, high) == pytest.approx((2, 2))
 
 
+@pytest.mark.slow
 @given(st.integers(0, 1000), st.floats(0.1, 10), st.floats(-50, 50))
 @settings(max_examples=30, deadline=None)
 def test_units_and_a_shift_of_all_leave_what_is_recovered(

@@ -28,6 +28,7 @@ def size_class(rows: int) -> int:
     return next(index for index, (low, high) in enumerate(SIDES) if low <= rows <= high)
 
 
+@pytest.mark.slow
 def test_a_seed_gives_one_house_whatever_else_is_drawn() -> None:
     mixture = Mixture(SIDES, ["rooms", "open"], plans=["apartment"], plans_share=0.3)
     together = [mixture.layout(seed) for seed in SEEDS]

@@ -148,6 +148,7 @@ def test_learners_learn_from_them_and_log_them(learner: str) -> None:
     torch.testing.assert_close(other.grounding.state_dict(), agent.grounding.state_dict())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("only", [False, True])
 def test_messages_may_learn_from_these_losses_alone(only: bool) -> None:
     """The receivers' loss reaches what makes messages, unless they are grounded alone."""
@@ -244,6 +245,7 @@ def test_bad_input_is_one_line(settings: list[str], why: str) -> None:
     assert str(caught.value).startswith(why) and "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ["comm.places=true", "comm.ground.sender_map=1.0"])
 def test_a_task_without_houses_refuses_them(key: str) -> None:
     with pytest.raises(BadInput, match="^comm[a-z._]*=(true|1.0): env=pettingzoo has no"):

@@ -61,6 +61,7 @@ def test_a_square_of_any_odd_side(level: str, side: int) -> None:
     assert env.observation_spec[keys.OBSERVATION].is_in(seen[:, -1])
 
 
+@pytest.mark.slow
 def test_wide_views_do_not_make_the_worlds_wide() -> None:
     assert env_of("pyramid", "observation.view_size=31").base_env.rules.margin == 2
     assert env_of("distances").base_env.rules.margin == 1

@@ -34,10 +34,11 @@ def test_the_contract(planner: str) -> None:
     check_planner(level, finishes=planner in FINISHING, **dict(zip(names, values, strict=True)))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
+@family(
     ("planner", "sensor", "n_agents"),
     [*product(FINISHING, ["bump"], [1, 3]), *product(FINISHING, ["touch4"], [3])],
+    fast=[],
+    usual=6,
 )
 def test_no_house_is_finished_sooner_than_it_can_be(
     planner: str, sensor: str, n_agents: int

@@ -133,6 +133,7 @@ def test_a_gap_between_two_pieces_of_wall_is_probably_wall() -> None:
     assert not planner_module.likely_walls(walls).any()
 
 
+@pytest.mark.slow
 def test_random_draws_each_robot_its_own_actions() -> None:
     env = env_of([_corridor()] * 64)
     planner = Random().bind(env.base_env)

@@ -108,7 +108,7 @@ def env_of(run: str) -> EnvBase:
         by_collector,
         lambda run: by_collector(run, bare(run)),  # which asks the policy for its primer
         partial(by_batch_of, SerialEnv, 2),
-        partial(by_batch_of, ParallelEnv, 1),  # a process takes seconds
+        pytest.param(partial(by_batch_of, ParallelEnv, 1), marks=pytest.mark.long),
     ],
     ids=["rollout", "step_and_maybe_reset", "Collector", "bare Collector", "Serial", "Parallel"],
 )

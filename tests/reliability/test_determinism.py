@@ -7,14 +7,14 @@ import pytest
 import torch
 
 from marl_clean.env import cleaning
+from tests.families import family
 from tests.reliability import determinism
 
 STEPS = 20
 pytestmark = pytest.mark.usefixtures("one_thread", "unchecked")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("reading", determinism.READINGS)
+@family("reading", determinism.READINGS, fast=[], usual=1)
 def test_env_i_of_many_is_env_i_alone(reading: str) -> None:
     assert determinism.difference(determinism.READINGS[reading], STEPS) is None
 

@@ -22,7 +22,7 @@ CURVES, ROWS, CANNOT = "tensorboard", "metrics.csv", "cannot be written"
 pytestmark = pytest.mark.usefixtures("unchecked", "one_thread")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_full_disk_is_one_line_and_loses_nothing(iql: Training) -> None:
     assert "No space left on device" in fill(iql, full_from(under("state-000000000016", 5)))
     assert "File too large" in fill(iql, limited_to(5_000))
@@ -65,7 +65,7 @@ def restored(limit: int) -> Iterator[None]:
     resource.setrlimit(limit, before)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "planted", "seen"),
     [

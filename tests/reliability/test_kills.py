@@ -18,10 +18,19 @@ def delayed(tmp_path_factory: pytest.TempPathFactory) -> Training:
     return Training("delayed", tmp_path_factory.mktemp("killed"))
 
 
+@pytest.mark.long
 def test_kills_at_any_moment_lose_nothing(iql: Training, delayed: Training) -> None:
     seen = fire([iql, delayed], 12)
     assert seen.kills.total() == 12
-    assert seen.in_saves >= 3
+    # Where a kill meets a training hangs on the machine; a quarter is to be inside a save.
+    for _ in range(20):
+        if 4 * seen.in_saves >= seen.kills.total():
+            return
+        so_far = seen.kills.total()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(kills, "AT_SAVES", 1.0)
+            fire([iql, delayed], so_far + 1, seed=so_far, seen=seen)
+    raise AssertionError(f"too few inside a save: {seen}")
 
 
 @pytest.mark.long
@@ -33,6 +42,7 @@ def test_a_random_state_that_is_not_restored_is_seen(
         fire([iql], 10)
 
 
+@pytest.mark.long
 def test_writes_in_place_that_nothing_verifies_are_seen(
     iql: Training, monkeypatch: pytest.MonkeyPatch
 ) -> None:

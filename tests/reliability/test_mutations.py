@@ -13,6 +13,7 @@ from marl_clean.commands import run_record
 from marl_clean.errors import BadInput
 from marl_clean.evaluation import tidy
 from marl_clean.storage import safe_yaml
+from tests.families import family
 from tests.reliability import mutations, mutators
 from tests.reliability.formats import FORMATS
 from tests.reliability.mutations import attempt, in_child, run
@@ -20,8 +21,7 @@ from tests.reliability.mutations import attempt, in_child, run
 pytestmark = pytest.mark.usefixtures("unchecked")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", FORMATS)
+@family("name", FORMATS, fast=[], usual=5)
 def test_a_mutated_file_is_read_or_refused_in_one_short_line(name: str) -> None:
     counted = run(name, trials=20)
     assert counted.faults == [] and counted.read + counted.refused == 20

@@ -21,6 +21,7 @@ MISSED_BY_THE_LOSS = [
 ]
 
 
+@pytest.mark.long
 def test_a_number_that_is_not_finite_stops_a_run_before_the_disk() -> None:
     trials = numbers.drawn(len(PLACES))
     assert {trial.place for trial in trials} == {*PLACES}

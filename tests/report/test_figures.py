@@ -67,6 +67,7 @@ def test_values_are_written_in_few_digits(value, text):
     assert digits(value) == text
 
 
+@pytest.mark.slow
 def test_the_view_in_figure_2_is_what_the_network_gets(cfg):
     drawn = draw_figure("paper_2", cfg)
     seen = drawn.axes[1]

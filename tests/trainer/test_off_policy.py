@@ -214,6 +214,7 @@ def test_best_weights_are_those_of_the_best_evaluation(tmp_path):
     assert torch.equal(best.tree["head.weight"], seen[1])
 
 
+@pytest.mark.slow
 def test_a_measure_that_does_not_exist_is_named_with_the_valid_ones(tmp_path):
     with pytest.raises(BadInput, match=r"trainer\.select_by=T_99: valid: finished, return"):
         train(tmp_path / "run", select_by="T_99")

@@ -16,6 +16,7 @@ from marl_clean.trainer.base import Trainer
 from marl_clean.trainer.off_policy import OffPolicy
 from marl_clean.trainer.on_policy import OnPolicy
 from tests.agent.parts import make_agent, make_encoder, make_learner
+from tests.families import family
 from tests.trainer.test_off_policy import SETTINGS, Signalling, assert_same_results
 
 pytestmark = pytest.mark.usefixtures("one_thread", "unchecked")
@@ -68,7 +69,7 @@ def train(folder: Path, kind: str, at: int = -1) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
+@family("kind", KINDS, fast=[], usual=2)
 def test_an_interrupted_run_goes_on_exactly(tmp_path, kind):
     train(tmp_path / "whole", kind)
     with pytest.raises(SystemExit):

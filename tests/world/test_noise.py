@@ -44,6 +44,7 @@ def test_an_unnoticed_bump_is_counted_and_neither_written_nor_paid() -> None:
     assert bump(lane(bump_noise=0.0))["agents", "own_reward"].item() == 1
 
 
+@pytest.mark.slow
 def test_as_many_bumps_are_missed_as_the_setting_says() -> None:
     env = lane(num_envs=20_000, bump_noise=0.3)
     missed = unnoticed_bumps(env.state, env.env_index, 0, 0.3)

@@ -16,6 +16,7 @@ from tests.reference import World, walking_distances
 from tests.world.strategies import Case, cases
 
 
+@pytest.mark.slow
 @hypothesis_settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**20), maps=st.sampled_from([1, 3]))
 def test_the_search_gives_what_a_flood_does(seed: int, maps: int) -> None:

@@ -130,6 +130,7 @@ def test_each_robot_begins_with_what_it_knows() -> None:
     assert (state.record[:, 1] != 0).sum((1, 2)).eq(1).all()  # its own cell
 
 
+@pytest.mark.slow
 def test_a_list_of_one_kind_is_that_kind_alone() -> None:
     for kind in Knowledge:
         listed = knowing(kind, kind)
@@ -175,6 +176,7 @@ def test_robots_in_contact_that_are_not_shown_are_seen_as_those_out_of_contact(l
         assert not torch.equal(hidden, observed(level, "topology=full"))
 
 
+@pytest.mark.slow
 def test_on_a_shared_map_a_robot_not_shown_leaves_a_cell_just_cleaned() -> None:
     for shown, expected in ((True, 1.0), (False, 0.5)):
         settings = ["env.n_agents=2", f"env.robots_shown={shown}", "observation.view_size=7"]
