@@ -81,20 +81,28 @@ def earlier_processes(path: Path) -> list[dict[str, Any]]:
     """The processes in a run.json; none, with a line in the log, where it is not whole."""
     if not path.exists():
         return []
-    with suppress(ValueError, LookupError, TypeError):  # BadInput is a ValueError, too
-        record = parse_json(read_bytes(path, LARGEST_BYTES))
-        if record["schema"] == SCHEMA and all(isinstance(p, dict) for p in record["processes"]):
-            return list(record["processes"])
+    record = _read(path)
+    processes = record.get("processes")
+    if record.get("schema") == SCHEMA and isinstance(processes, list):
+        if all(isinstance(process, dict) for process in processes):
+            return processes
     log.warning("%s: is not of schema %s; begun anew", path, SCHEMA)
     return []
 
 
 def recorded_hash(folder: Path) -> str | None:
     """The hash of the config of the run in `folder`; None where no record tells it."""
-    try:
-        return str(json.loads((folder / RECORD).read_text(encoding="utf-8"))["config_sha256"])
-    except (OSError, ValueError, RecursionError, LookupError, TypeError):
-        return None
+    recorded = _read(folder / RECORD).get("config_sha256")
+    return recorded if isinstance(recorded, str) else None
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """A run.json, which need not be trusted; empty where there is none that can be read."""
+    with suppress(ValueError):  # BadInput is one, too
+        record = parse_json(read_bytes(path, LARGEST_BYTES))
+        if isinstance(record, dict):
+            return record
+    return {}
 
 
 def _write(path: Path, record: dict[str, Any]) -> None:

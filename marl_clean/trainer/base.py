@@ -118,19 +118,17 @@ class Trainer(ABC):
         try:
             loop.resume()
             first.resume(loop.frames, loop.updates)
-            with (
-                loop.interrupts as interrupts,
-                Progress(self.total_frames, loop.frames) as progress,
-            ):
+            with loop.interrupts, Progress(self.total_frames, loop.frames) as progress:
                 if start_is_candidate and not loop.frames:
                     with suppress(Stopped):  # the loop sees the signal
-                        loop.measure(interrupts)
+                        loop.measure()
                 while True:
-                    loop.report(interrupts, progress)
-                    if interrupts.signal or loop.due(self.checkpoint_interval_frames, loop.saved):
+                    loop.report(progress)
+                    signal = loop.interrupts.signal  # one that comes from here on waits its turn
+                    if signal or loop.due(self.checkpoint_interval_frames, loop.saved):
                         loop.save()
-                    if interrupts.signal:
-                        raise SystemExit(128 + interrupts.signal)
+                    if signal:
+                        raise SystemExit(128 + signal)
                     if loop.frames >= self.total_frames and loop.owed is None:
                         return loop.finish()
                     loop.advance(first)
@@ -194,7 +192,7 @@ class TrainingLoop(Learning):
     def restore_own(self, state: Mapping[str, Any]) -> None:
         """Go on from `own_state`."""
 
-    def report(self, interrupts: Interrupts, progress: Progress) -> None:
+    def report(self, progress: Progress) -> None:
         """Evaluate and write a row, each if it is due; show how far the run is."""
         if self.owed is not None:  # in the middle of a block
             return
@@ -202,7 +200,7 @@ class TrainingLoop(Learning):
         ended = self.frames >= self.settings.total_frames and self.evaluated < self.frames
         if ended or self.due(self.settings.eval_interval_frames, self.evaluated):
             try:
-                row = self.measure(interrupts)
+                row = self.measure()
             except Stopped:  # done anew when the run is resumed
                 return
         if row or self.due(self.settings.log_interval_frames, self.logged):
@@ -218,10 +216,10 @@ class TrainingLoop(Learning):
             self.logged = self.frames
         progress.show(self.frames, row)
 
-    def measure(self, interrupts: Interrupts) -> dict[str, float]:
+    def measure(self) -> dict[str, float]:
         """Measure the greedy policy on validation houses; keep its weights if they are best."""
         cuda = [self.env.device] if self.env.device.type == "cuda" else []
-        with torch.random.fork_rng(devices=cuda), torch.no_grad(), interrupts.breakable():
+        with torch.random.fork_rng(devices=cuda), torch.no_grad(), self.interrupts.breakable():
             measured = self.evaluate(self.agent.policy())
         check_numbers({"validation": measured}, self.frames)
         self.best.offer(self.frames, measured, self._weights())
@@ -267,7 +265,8 @@ class TrainingLoop(Learning):
         self.loggers.resume(self.logged, state.get("loggers", {}))  # earlier versions saved none
 
     def _restore(self, state: dict[str, Any]) -> None:
-        vars(self).update(state["counters"])
+        for name in COUNTERS:
+            setattr(self, name, state["counters"][name])
         self.best.record = state["best"]
         self.agent.load_state_dict(state["agent"])
         self.collectors.restore(state)
